@@ -100,6 +100,7 @@ double largest(const double *x, int n);
 double largest_of(const double *units, const double *x, int n);
 double small(const System *s, const double *p, const double *q, double accelerated);
 double correction(int k, int count);
+int is_dear(const System *s);
 int judge(double *p, const double *sizes, int done, double *error);
 int lingers(const double *p, int done, double left);
 

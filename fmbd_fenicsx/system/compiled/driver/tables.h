@@ -345,6 +345,8 @@ typedef struct {
     int samples, stiff;                /* whether Python is asked once a step, 2: for less without the rates of motions; whether */
                                        /* efforts depend on the motion */
     double cd, ck, epsilon;            /* of the matrix in the fronts */
+    int dear, held;                    /* whether its factor is dear, see is_dear(); whether one of an earlier step of a march serves on: */
+    int first_took, untold;            /* increments of that step; steps since its rate of convergence was told, with the next one */
     double share;                      /* change of q over that of v in a step: open speeds times it are closed like gaps */
     const double *q;                   /* the configuration evaluated last */
     double *work, *big, *directions;   /* directions: 11 x parts x rows, see close_faint(), driver_least() */

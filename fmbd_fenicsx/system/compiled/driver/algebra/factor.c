@@ -14,6 +14,8 @@ static void clear(System *s)
     memset(s->locked, 0, (size_t)s->rows * sizeof(double));
 }
 
+static const double DEAR = 8.0; /* solutions that take as long as a factor which is dear */
+
 enum { PANEL = 4 }; /* pivots whose products are taken off later columns together: each is read and written once for them */
 
 /* One pivot column: the columns behind it, up to ``end``, less its products. Columns begin at whole lanes; what stands above the
@@ -145,6 +147,19 @@ static int factor(System *s)
         if (f->next >= 0) hand_on(s, f);
     }
     return verdict;
+}
+
+/* Whether a factor takes the work of many solutions, by products: of nets and lattices; those of chains and trees take less than two. */
+int is_dear(const System *s)
+{
+    double all = 0.0, solution = 0.0;
+    for (const Front *f = s->front; f < s->front + s->fronts; f++)
+        for (int k = 0; k < f->pivots && !f->apart; k++) {
+            const double rows = f->rows - k;
+            all += 0.5 * rows * rows;
+            solution += 2.0 * rows;
+        }
+    return all > DEAR * solution;
 }
 
 static void swap(double *a, double *b, int n)

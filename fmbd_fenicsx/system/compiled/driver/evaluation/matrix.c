@@ -157,6 +157,7 @@ int prepare_complex(System *s, const double *q, const double *cd, const double *
    on a small inertia). That of parts which Python tells is theirs: lines that are pressed in large steps. */
 int prepare(System *s, const double *q, double cd, double ck, const double *lam, int reactions, double t)
 {
+    s->held = 0;
     int verdict = assemble(s, q, cd, ck, ck, lam, reactions, t), told = 0;
     if (verdict == SINGULAR) verdict = assemble(s, q, cd, ck, 0.0, lam, 0, t);
     for (int b = 0; b < s->bodies; b++) told |= s->body[b].told != NULL;

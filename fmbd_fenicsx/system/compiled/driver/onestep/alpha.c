@@ -5,6 +5,7 @@
 static const double SLOW_TURN = 0.01; /* rate of Newton, and share that pulls mislead it, above which efforts get a new tangent */
 static const double LEAP = 1e-3;      /* of the model's length: leaps of accelerations that lead farther are no prediction */
 static const double WORTH = 1e3;      /* first increments, over the tolerance, that are worth a new tangent of fields at once */
+static const double BEST_RATE = 0.02; /* that a step without a second increment counts on */
 enum { RENEWALS = 10 };               /* of tangents of fields in a step at most */
 
 /* Weights of the parabola through the last steps (less at the start) at the time t. */
@@ -32,7 +33,7 @@ int judge(double *p, const double *sizes, int done, double *error)
     if (!(size < INFINITY)) return -1;
 
     if (done == 1) {
-        double guess = p[THETA] > 0.02 ? p[THETA] : 0.02;
+        double guess = p[THETA] > BEST_RATE ? p[THETA] : BEST_RATE;
         left = guess / (1 - (guess < 0.9 ? guess : 0.9)) * size;
     } else {
         double last = sizes[done - 2], theta = last > 0 ? size / last : 0.0;
@@ -46,10 +47,12 @@ int judge(double *p, const double *sizes, int done, double *error)
     return left <= 1.0 || size <= 1e-3;
 }
 
-/* The same where contacts may take part, and earlier steps tell what a first increment leaves; over a tolerance, m. */
+/* The same by a matrix of an earlier step, whose rate grows with the motion since it was told, and where contacts may take part, and
+   earlier steps tell what a first increment leaves; over a tolerance, m. */
 static int judge_step(const System *s, double *p, const Block *now, const double *sizes, double tolerance, int done, double *error)
 {
-    const int converged = judge(p, sizes, done, error);
+    int converged = judge(p, sizes, done, error);
+    if (done == 1 && s->held && converged > 0) converged = (*error *= 1 + s->untold) <= 1.0;
     if (converged || done > 1 || !s->contact) return converged;
     *error = fmin(*error, left_as_told(s->contact, now, p[H], *sizes, tolerance));
     return *error <= 1.0;
@@ -107,6 +110,7 @@ typedef struct {
     double misfit;                     /* of the springs' pulls across in the matrix */
     int done, hesitations;             /* increments; those that were made as laws were undecided */
     int far;                           /* whether the matrix is far from the state */
+    int renewed;                       /* whether a later increment than the first had a new matrix */
     int touching;                      /* contacts that take part */
     int grown;                         /* increments of bodies with an energy that were larger than the one before */
     int evaluated, renewals;           /* whether the end was evaluated already; new tangents of fields */
@@ -120,10 +124,11 @@ static void begin(System *s, const double *p, Block now, Block out, AlphaStep *k
     double *xi = s->work, *x = xi + n, *y = x + n, *lam = y + m, *begun = lam + m, *closing = begun + n;
     double *room = s->work + s->again + n + m;
 
-    *k = (AlphaStep){.now = now, .out = out, .stable = p[STABILISED] != 0.0, .t = *now.t + h, .far = 1};
+    *k = (AlphaStep){.now = now, .out = out, .stable = p[STABILISED] != 0.0, .t = *now.t + h};
     k->hb = h * h * p[BETA];
     k->scale = k->hb * (1 - af) / (1 - am);
     k->damp = h * p[GAMMA] * (1 - af) / (1 - am);
+    k->far = !(s->held && s->cd == k->damp && s->ck == k->scale);
     k->xi = xi, k->begun = begun;
     k->x = x, k->closing = closing, k->y = y;
     k->lam = lam, k->none = closing + n;
@@ -199,6 +204,7 @@ static int linearise(System *s, const double *p, AlphaStep *k)
     if (k->touching && k->done) return DONE; /* velocities of closed contacts follow from the matrix of a step's beginning */
     int later = k->done > 0, slow = later && p[THETA] > SLOW_TURN;
     int impatient = k->done > (int)p[PATIENCE] && !s->fields && !k->told.poor; /* fields go on with one tangent while they converge */
+    int worn = s->held && k->done > 1 && p[THETA] > POOR;
 
     /* a stiff spring has its true tension, and with it its stiffness across, only after the first increment; a law may
        have other slopes there */
@@ -206,7 +212,7 @@ static int linearise(System *s, const double *p, AlphaStep *k)
     int cheap = k->done == 1 && s->fields; /* beside a solution with the factor of a field */
     int turning = s->stiff && later
                   && (s->renewed || s->bridged || cheap || k->misfit > SLOW_TURN || misled(s) || other_slopes(s, k->damp, k->scale));
-    if (!(k->far || turning || impatient)) return DONE;
+    if (!(k->far || turning || impatient || worn)) return DONE;
 
     /* what reactions push across counts where the iteration is slow without it; as predicted it may be far off */
     int reactions = (k->done > 1 && slow) || impatient;
@@ -214,6 +220,7 @@ static int linearise(System *s, const double *p, AlphaStep *k)
     s->led = later;
     int verdict = prepare(s, k->out.q, k->damp, k->scale, k->lam, reactions, k->t);
     s->led = 0;
+    k->renewed |= later;
     if (k->touching) contact_factored(s, s->contact, k->out.q);
     return verdict;
 }
@@ -377,6 +384,16 @@ static int find_end(System *s, double *p, const Block *past, int known, AlphaSte
     return DONE;
 }
 
+/* Whether the matrix of a step that was found serves the next one. A dear one does (see is_dear()), while it takes no more increments
+   than when it was new, or converges as fast as a step counts on. */
+static void hold(System *s, const double *p, const AlphaStep *k)
+{
+    const int is_new = !s->held, told = k->done > 1;
+    if (is_new) s->first_took = k->done;
+    s->untold = is_new || told ? 1 : s->untold + 1;
+    s->held = s->dear && !k->renewed && !s->redundant && (is_new || k->done <= s->first_took || p[THETA] <= BEST_RATE);
+}
+
 /* One step, as a Maker of march.c. */
 static int alpha_step(System *s, double *p, double *free_room, const Block *past, int known, Block out)
 {
@@ -392,7 +409,15 @@ static int alpha_step(System *s, double *p, double *free_room, const Block *past
         s->calls++;
         if (s->python(SAMPLE, PLACES, k.t)) return FAILED;
     }
-    if ((verdict = find_end(s, p, past, known, &k))) return verdict;
+    const double theta = p[THETA];
+    verdict = find_end(s, p, past, known, &k);
+    if (verdict == NEWTON && s->held) {
+        s->held = 0;
+        p[THETA] = theta;
+        begin(s, p, past[0], out, &k);
+        verdict = find_end(s, p, past, known, &k);
+    }
+    if (verdict) return verdict;
 
     while (s->contact && met_others(s->contact, &out, &verdict)) {
         begin(s, p, past[0], out, &k);
@@ -402,6 +427,7 @@ static int alpha_step(System *s, double *p, double *free_room, const Block *past
 
     p[LEFT] += k.left;
     s->renewals = k.renewals;
+    hold(s, p, &k);
     const double h = p[H], to_A = 1.0 / (p[GAMMA] * h);
     const Persisting end = {h, k.scale, k.scale / (p[BETA] * h) * p[GAMMA], to_A, (1 - p[AM]) / (1 - p[AF]) * to_A};
     if (k.touching && (verdict = persist(s, s->contact, &end, past, &out))) return verdict;
