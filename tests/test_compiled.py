@@ -199,3 +199,38 @@ def test_angles_between_bodies_that_are_turned_at_the_start() -> None:
     fast, slow = pair(scene, t_end=0.05, dt=1e-3)
     assert fast.counters["compiled_steps"] > 0 == slow.counters.get("compiled_steps", 0)
     assert fast["turn"] == pytest.approx(slow["turn"], abs=1e-11) and np.abs(fast["turn"]).max() > 1e-4
+
+
+def test_dear_factors_serve_on_over_steps() -> None:
+    """A lattice of masses on springs takes few factors, and moves as with one in each step; where springs become a hundred times as stiff
+    within a step the factor at hand serves no longer.
+    """
+    size, h, steps, much = 5, 1e-3, 40, 0.0215  # masses along an edge; s; the time of the change, s
+
+    def lattice(law: bool) -> fmbd.Scene:
+        scene, at = fmbd.Scene("lattice", gravity=(0.0, 0.0, -9.81)), {}
+        for i in np.ndindex(size, size, size):
+            at[i] = fmbd.PointMass(f"{i}", 0.05, 0.1 * np.array(i)) if i[0] else fmbd.ground
+            scene.add(*([at[i]] if i[0] else []))
+        of: dict[str, Any] = {"stiffness": 500.0, "damping": 0.5}
+        if law:
+            of = {"law": lambda s, rate, t: (500.0 if t < much else 5e4) * s + 0.5 * rate}
+        for i in at:
+            for j in (tuple(map(int, np.add(i, axis))) for axis in np.eye(3, dtype=int)):
+                if j in at and (i[0] or j[0]):
+                    ends = 0.1 * np.array(i), 0.1 * np.array(j)
+                    scene.add(fmbd.Spring(f"{i} {j}", at[i], at[j], *ends, length=0.09, **of))
+        return scene
+
+    for law, most in ((False, 0.2), (True, 1.2)):
+        stepper = stepper_of(lattice(law), GeneralizedAlpha(0.8))
+        for _ in range(steps):
+            stepper.advance(h)
+        output = fmbd.Output(progress=False, estimate_error=False)
+        run = fmbd.solve(lattice(law), t_end=steps * h, dt=h, scheme=GeneralizedAlpha(0.8), output=output)
+        assert run.counters["core_factorisations"] < most * steps, law
+        assert run.counters["compiled_steps"] == steps and not run.counters["halved_steps"]
+        assert run.counters["newton_iterations"] < 2.5 * steps
+        for name, bar in (("q", 1e-8), ("v", 1e-6), ("a", 1e-6)):
+            kept, fresh = getattr(run.state, name), getattr(stepper.state, name)
+            assert np.abs(kept - fresh).max() < bar * np.abs(fresh).max(), (law, name)
