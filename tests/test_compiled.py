@@ -202,8 +202,8 @@ def test_angles_between_bodies_that_are_turned_at_the_start() -> None:
 
 
 def test_dear_factors_serve_on_over_steps() -> None:
-    """A lattice of masses on springs takes few factors, and moves as with one in each step; where springs become a hundred times as stiff
-    within a step the factor at hand serves no longer.
+    """A lattice of masses on springs takes few factors, and moves as with one in each step; where springs become a hundred
+    times as stiff within a step the factor at hand serves no longer.
     """
     size, h, steps, much = 5, 1e-3, 40, 0.0215  # masses along an edge; s; the time of the change, s
 
