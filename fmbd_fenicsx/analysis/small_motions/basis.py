@@ -84,9 +84,18 @@ def projected(
         M, C, K = (V @ image.T for image in about.images(V))
         made = ProjectedSystem(V, M, C, K, _speeds(about, V))
     else:
-        made = _with_enough_inertia(
-            about, solver, shift, lambda inverse: _krylov(_Space(about), inverse, count, inputs, enough)
-        )
+        for inertia in (shift, LARGER**2 * shift):
+            made, settled = _with_enough_inertia(
+                about, solver, inertia, lambda inverse: _krylov(_Space(about), inverse, count, inputs, enough)
+            )
+            # what moves freely answers most to little inertia, and its noise hides what vibrates
+            if settled:
+                break
+        else:
+            log.warning(
+                "The first %d modes did not settle among %d motions: their frequencies are uncertain, as those of very thin "
+                "solids; take beams, rods, or thicker cells", count, len(made.M),
+            )  # fmt: skip
     return replace(made, memory=small_memory(about, made.vectors))
 
 
@@ -187,8 +196,10 @@ def _krylov(
     count: int,
     inputs: Sequence[Array],
     enough: Callable[[ProjectedSystem], bool] | None,
-) -> ProjectedSystem:
-    """The matrices on an orthonormal basis of a block Krylov space; where it ends early others go on beside it."""
+) -> tuple[ProjectedSystem, bool]:
+    """The matrices on an orthonormal basis of a block Krylov space, and whether they are ``enough``; where it ends early others go
+    on beside it.
+    """
     about, basis, freedom = space.about, space.vectors, _freedom(space.about)
     limit = min((3 * count + MORE) * (1 if enough is None else LARGEST), freedom)
     started = known = done = 0  # random starts; vectors whose own answers are left out; those that were answered
@@ -219,15 +230,7 @@ def _krylov(
         made = new_part(about, basis, waiting.pop(0), inverse.inverse)
         if made is not None:
             space.add(made)
-    else:
-        if enough is not None and limit < freedom:
-            log.warning(
-                "The first %d modes did not settle among %d motions: their frequencies are uncertain, as those of very thin "
-                "solids; take beams, rods, or thicker cells",
-                count,
-                limit,
-            )
-    return space.projected()
+    return space.projected(), enough is None or len(basis) < limit or limit == freedom
 
 
 def new_part(
