@@ -197,8 +197,8 @@ def _krylov(
     inputs: Sequence[Array],
     enough: Callable[[ProjectedSystem], bool] | None,
 ) -> tuple[ProjectedSystem, bool]:
-    """The matrices on an orthonormal basis of a block Krylov space, and whether they are ``enough``; where it ends early others go
-    on beside it.
+    """The matrices on an orthonormal basis of a block Krylov space, and whether they are ``enough``; where it ends early others
+    go on beside it.
     """
     about, basis, freedom = space.about, space.vectors, _freedom(space.about)
     limit = min((3 * count + MORE) * (1 if enough is None else LARGEST), freedom)
