@@ -1,4 +1,4 @@
-"""Starts whose accelerations die out within a step: what of them a step resolves, and steps that damp the rest at once.
+"""Starts whose accelerations a step does not resolve: what of them is left, and steps that damp the rest where damping ends it.
 
 The recursion of generalized-alpha carries A_0 on for many steps. Where a_0 is that of a motion which damping ends within a step
 (a speed that begins at the pin of a strongly damped body, a load that sets in on a damped panel), h^2 a_0 is a displacement that
@@ -12,11 +12,18 @@ unresolved where |a| < 0.3 |a_0| in the norm of the largest entry, both with r a
 
     a_0^T M a_0 < 0.3 (a_0^T M a_0 + cd a_0^T C a_0),                                                                 (2)
 
-that is from c h = 4.6 on, rho_inf = 0.8. A vibration that h does not resolve stays what the scheme makes of it: it goes on in the
-body, and runs with other steps have to tell it as an error. Units and sizes of loads have no part in this, and where h resolves
+that is from c h = 4.6 on, rho_inf = 0.8. Units and sizes of loads have no part in this, and where h resolves
 the motion |a_0 - a| is O(h). What moves places, ck |a|, by less than Newton's iteration may leave open counts as none: forces at
 roundoff shake stiff bodies at rest. A start is damped for four steps, each of which leaves a fifth at most of what is far faster
 than the step, and until half of an acceleration is left.
+
+A vibration that h does not resolve goes on in the body: the scheme alone damps it, and runs with other steps have to tell it as
+an error. But h^2 a_0 is never there either: velocities would be off by (1 - gamma / 2 beta) h a_0 and accelerations would change
+their sign from step to step, in the stress of a stiffened body too. Such a step begins, in the place of a_0, with
+
+    a_1 + a_2,    S a_1 + G^T mu_1 = M a_0,    S a_2 + G^T mu_2 = M (a_0 - a_1),    G (a_1 + a_2) = G a_0                (5)
+
+that is with a_0 (1 - (ck w^2 / (1 + ck w^2))^2) in each mode: all of it but O(h^4 w^4) where h resolves w.
 
 Until a start is resolved its steps are those of the diagonally implicit method of two stages, g = 1 - 1/sqrt(2),
 
@@ -70,10 +77,19 @@ def stages(h: float) -> tuple[Rule, Rule]:
     return first, LastStage(h, 0.0, 0.0, G, G * G, first.weights)
 
 
-def damped_acceleration(
+@dataclass(frozen=True, eq=False)
+class Unresolved:
+    """Accelerations, like v, to begin a step with that does not resolve those of its start; ``damps``: a step that damps."""
+
+    a: Array
+    damps: bool
+
+
+def unresolved(
     ev: Evaluation, start: State, solver: StepSolver, rule: Rule, nothing: float, left: float
-) -> Array | None:
-    """The a of (1), like v, for a start evaluated as ``ev``, where it is less than the share ``left`` of a_0; else None.
+) -> Unresolved | None:
+    """The a of (1), or of (5) where damping is not what ends it, for a start evaluated as ``ev``, where the a of (1) is less than
+    the share ``left`` of a_0; else None.
 
     ``nothing``: displacement (m) that counts as none. Collective.
     """
@@ -84,19 +100,27 @@ def damped_acceleration(
     # (2), which costs no solution
     dt = SMALL * h
     drag = (system.at(start.t, start.q, start.v + dt * start.a).balance(start.a, start.lam) - held) / dt
-    if w.cd * system.dot(start.a, drag) <= (1.0 / left - 1.0) * w.cm * system.dot(start.a, push):
-        return None
+    damps = w.cd * system.dot(start.a, drag) > (1.0 / left - 1.0) * w.cm * system.dot(start.a, push)
 
     size, across = system.max_abs(start.a), ev.jacobian.times(start.a)
     there = system.at(start.t + h, system.compose(start.q, h * start.v), start.v)
     change = there.balance(start.a, start.lam) - held
     solver.prepare(ev, w)
+    found = []
     for pushed in (push, push - change):
         a, _ = solver.solve(pushed, across)
         rest = system.max_abs(a)
         if not rest < left * size or w.ck * rest <= nothing:
             return None
-    return a
+        found.append(a)
+    if damps:
+        return Unresolved(found[1], True)
+
+    gone = start.a - found[0]
+    a, _ = solver.solve(
+        ev.balance(gone, start.lam) - ev.balance(np.zeros_like(gone), start.lam), ev.jacobian.times(gone)
+    )
+    return Unresolved(found[0] + a, False)
 
 
 def on_constraints(end: State, solver: StepSolver, rule: Rule) -> State:
