@@ -348,11 +348,10 @@ class Layout:
         return self.slices[2][k]
 
     # -- inner products over all ranks -----------------------------------------------------------------------------
-    def dot(self, x: Array, y: Array) -> float:
-        """x . y for arrays like v; collective."""
-        core = float(x[: self.n_core] @ y[: self.n_core])
+    def dot(self, x: Array, y: Array) -> Any:
+        """x . y for arrays like v, a number; of rows x (.., n_v), one for each of them. Collective."""
         shares = [np.array(self.local_v(x, k) @ self.local_v(y, k)) for k, _ in self.fields]
-        return core + float(sum(self.field_sums(shares)))
+        return x[..., : self.n_core] @ y[: self.n_core] + sum(self.field_sums(shares))
 
     def finite(self, *given: Array) -> bool:
         """Whether all numbers of some arrays are finite; collective."""

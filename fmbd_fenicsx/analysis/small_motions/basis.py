@@ -142,9 +142,10 @@ class _Space:
 
         self.vectors.append(v)
         self.images.append(images)
-        for i, w in enumerate(self.vectors):
-            made[:, i, n] = [dot(w, x) for x in images]
-            made[:, n, i] = [dot(v, x) for x in self.images[i]]
+        vectors = np.array(self.vectors)
+        for i, image in enumerate(images):
+            made[i, :, n] = dot(vectors, image)
+        made[:, n] = dot(np.array(self.images), v).T
         self.small = made
 
     def without(self, b: Array, count: int) -> Array:
@@ -156,8 +157,9 @@ class _Space:
         n = min(count, len(self.vectors))
         if not n:
             return b
-        along = np.array([self.about.system.dot(v, b) for v in self.vectors[:n]])
-        share = np.linalg.lstsq(self.small[0][:n, :n], along, rcond=None)[0]
+        share = np.linalg.lstsq(
+            self.small[0][:n, :n], self.about.system.dot(np.array(self.vectors[:n]), b), rcond=None
+        )[0]
         return b - np.sum([c * image[0] for c, image in zip(share, self.images, strict=False)], axis=0)
 
     def projected(self) -> ProjectedSystem:
@@ -256,11 +258,12 @@ def new_part(
 
 def _beside(about: Perturbation, basis: list[Array], x: Array) -> Array:
     """x without its parts along the basis."""
-    system = about.system
+    if not basis:
+        return x
+    system, vectors = about.system, np.array(basis)
     # twice: the second pass takes the roundoff of the first
     for _ in range(2):
-        for v in basis:
-            x = x - system.dot(system.units**2 * v, x) * v
+        x = x - system.dot(vectors, system.units**2 * x) @ vectors
     return x
 
 

@@ -27,14 +27,15 @@ from ...rotations import Array
 from ...system.layout import State
 from ...system.scene.alike import alike
 from ...system.scene.scene import Scene
-from ..small_motions.basis import ProjectedSystem, projected, reactions
+from ..small_motions.basis import ProjectedSystem, projected, random_motion, reactions
 from ..small_motions.first_order import first_order
-from ..small_motions.perturbation import Perturbation
+from ..small_motions.perturbation import SIDES, Perturbation
 from ..small_motions.small_memory import changed, memory_size, pushed_by
 from .modes import Linearised, eigenpairs, prepared, readable
 
 STEP = 1e-4
 AXES = ("x", "y", "z")
+REACTION = 3  # place of multipliers behind places, velocities and accelerations
 Motion = tuple[Array, Array, Array]  # y, y', y''
 NEAREST = 1e-9  # relative distance of a frequency to an undamped one that is refused
 
@@ -186,7 +187,7 @@ def _model(
     system = made.about.system
     V = small.vectors
     k = len(small.M)
-    F = np.array([[system.dot(v, f) for _, f in forces] for v in V]).reshape(k, len(forces))
+    F = np.array([system.dot(V, f) for _, f in forces]).reshape(len(forces), k).T
 
     form = first_order(small)
     n_x = len(form.A)
@@ -212,9 +213,12 @@ def _model(
         motions.append((z @ V, z_rate @ V, z_accel @ V))
         causes.append((force, change))
 
-    held = _reactions(made, motions, causes)
+    counts = _what_counts(made, outputs)
+    held = _reactions(made, motions, causes) if counts[REACTION] else [np.zeros(system.n_lam)] * len(motions)
     answers = zip(motions, held, causes, strict=True)
-    CD = np.array([_answer(made, motion, reaction, change, outputs) for motion, reaction, (_, change) in answers])
+    CD = np.array(
+        [_answer(made, motion, (reaction, change), outputs, counts) for motion, reaction, (_, change) in answers]
+    )
     CD = CD.reshape(n_x + len(forces), len(outputs)).T
     return LinearModel(
         form.A, B, CD[:, :n_x], CD[:, n_x:], tuple(name for name, _ in forces), tuple(label for label, _, _ in outputs)
@@ -233,30 +237,51 @@ def _reactions(made: Linearised, motions: Sequence[Motion], causes: Sequence[tup
     return [x[:n] for x in reactions(about, made.solver, made.shift, left)]
 
 
-def _answer(
-    made: Linearised, motion: Motion, reaction: Array, change: Array, outputs: list[tuple[str, str, int]]
-) -> Array:
-    """Derivatives of the outputs for a motion, its reactions (n_lam,) and a change of the memory."""
-    about, (y, rate, accel) = made.about, motion
-    system, s = about.system, about.state
-    v = about.velocity(y, rate)
-    a = about.acceleration(y, rate, accel)
+def _read(made: Linearised, outputs: list[tuple[str, str, int]], cause: int, moved: Array) -> Array:
+    """Values of the outputs where one of places, velocities, accelerations, multipliers and memories is moved; collective."""
+    system, s = made.about.system, made.about.state
+    still = *(np.zeros(system.n_v) for _ in range(REACTION)), np.zeros(system.n_lam), np.zeros(memory_size(system))
+    y, v, a, reaction, change = (moved if i == cause else x for i, x in enumerate(still))
+    state = State(s.t, system.compose(s.q, y), s.v + v, s.a + a, s.lam + reaction)
+    with changed(system, s.t, change):
+        values = _values(made, state, [name for _, name, _ in outputs])
+    return np.array([x[c] for x, (_, _, c) in zip(values, outputs, strict=True)], dtype=float)
 
-    def read(e: float, cause: int) -> Array:
-        y, v, a, reaction, change = (e * x if i == cause else 0.0 * x for i, x in enumerate(parts))
-        state = State(s.t, system.compose(s.q, y), s.v + v, s.a + a, s.lam + reaction)
-        with changed(system, s.t, change):
-            values = _values(made, state, [name for _, name, _ in outputs])
-        return np.array([x[c] for x, (_, _, c) in zip(values, outputs, strict=True)], dtype=float)
+
+def _what_counts(made: Linearised, outputs: list[tuple[str, str, int]]) -> list[bool]:
+    """Whether outputs hang on places, velocities, accelerations, multipliers, memories; collective. Places and memories may."""
+    about, system = made.about, made.about.system
+    forces = np.random.default_rng(0).standard_normal(system.n_lam) * _largest_multiplier(made)
+    moved = random_motion(about, 1) / about.time, random_motion(about, 2) / about.time**2, forces
+    here = _read(made, outputs, 0, np.zeros(system.n_v))
+    found = [bool((_read(made, outputs, i + 1, x) != here).any()) for i, x in enumerate(moved)]
+    return [True, *found, True]
+
+
+def _largest_multiplier(made: Linearised) -> float:
+    """Of the state, or 1 where there is none."""
+    return float(np.abs(made.about.state.lam).max(initial=0.0)) or 1.0
+
+
+def _answer(
+    made: Linearised,
+    motion: Motion,
+    held: tuple[Array, Array],
+    outputs: list[tuple[str, str, int]],
+    counts: list[bool],
+) -> Array:
+    """Derivatives of the outputs for a motion, its reactions (n_lam,) and a change of the memory, where they hang on them."""
+    about, (y, rate, accel) = made.about, motion
+    system, (reaction, change) = about.system, held
+    parts = (y, about.velocity(y, rate), about.acceleration(y, rate, accel), reaction, change)
 
     # each cause by itself, in differences of fourth order: in steps for fast accelerations places are lost in roundoff
-    parts = (y, v, a, reaction, change)
-    moved = [about.time**i * system.max_abs(x) / system.length for i, x in enumerate((y, v, a))]
-    forces = np.abs(s.lam).max(initial=0.0) or 1.0
-    sizes = [*moved, np.abs(reaction).max(initial=0.0) / forces, np.abs(change).max(initial=0.0)]
+    moved = [about.time**i * system.max_abs(x) / system.length for i, x in enumerate(parts[:REACTION])]
+    sizes = [*moved, np.abs(reaction).max(initial=0.0) / _largest_multiplier(made), np.abs(change).max(initial=0.0)]
     total = np.zeros(len(outputs))
     for cause, size in enumerate(sizes):
-        if size > 0.0:
+        if counts[cause] and size > 0.0:
             h = STEP / size
-            total += (8.0 * (read(h, cause) - read(-h, cause)) - read(2 * h, cause) + read(-2 * h, cause)) / (12.0 * h)
+            for side, weight in SIDES:
+                total += weight * _read(made, outputs, cause, side * h * parts[cause]) / (12.0 * h)
     return total

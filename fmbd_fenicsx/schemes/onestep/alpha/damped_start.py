@@ -19,11 +19,11 @@ than the step, and until half of an acceleration is left.
 
 A vibration that h does not resolve goes on in the body: the scheme alone damps it, and runs with other steps have to tell it as
 an error. But h^2 a_0 is never there either: velocities would be off by (1 - gamma / 2 beta) h a_0 and accelerations would change
-their sign from step to step, in the stress of a stiffened body too. Such a step begins, in the place of a_0, with
+their sign from step to step, in the stress of a stiffened body too. Where (1) leaves less than 0.3^2 of a_0, a step begins with
 
     a_1 + a_2,    S a_1 + G^T mu_1 = M a_0,    S a_2 + G^T mu_2 = M (a_0 - a_1),    G (a_1 + a_2) = G a_0                (5)
 
-that is with a_0 (1 - (ck w^2 / (1 + ck w^2))^2) in each mode: all of it but O(h^4 w^4) where h resolves w.
+in its place, that is with a_0 (1 - (ck w^2 / (1 + ck w^2))^2) in each mode: all of it but O(h^4 w^4) where h resolves w.
 
 Until a start is resolved its steps are those of the diagonally implicit method of two stages, g = 1 - 1/sqrt(2),
 
@@ -88,8 +88,8 @@ class Unresolved:
 def unresolved(
     ev: Evaluation, start: State, solver: StepSolver, rule: Rule, nothing: float, left: float
 ) -> Unresolved | None:
-    """The a of (1), or of (5) where damping is not what ends it, for a start evaluated as ``ev``, where the a of (1) is less than
-    the share ``left`` of a_0; else None.
+    """The a of (1) for a start evaluated as ``ev``, where it is less than the share ``left`` of a_0 and damping is what ends it; that
+    of (5) where it is less than ``left`` squared; else None.
 
     ``nothing``: displacement (m) that counts as none. Collective.
     """
@@ -115,6 +115,8 @@ def unresolved(
         found.append(a)
     if damps:
         return Unresolved(found[1], True)
+    if not system.max_abs(found[0]) < left * left * size:
+        return None
 
     gone = start.a - found[0]
     a, _ = solver.solve(
