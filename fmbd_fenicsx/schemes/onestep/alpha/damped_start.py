@@ -88,8 +88,8 @@ class Unresolved:
 def unresolved(
     ev: Evaluation, start: State, solver: StepSolver, rule: Rule, nothing: float, left: float
 ) -> Unresolved | None:
-    """The a of (1) for a start evaluated as ``ev``, where it is less than the share ``left`` of a_0 and damping is what ends it; that
-    of (5) where it is less than ``left`` squared; else None.
+    """The a of (1) for a start evaluated as ``ev``, where it is less than the share ``left`` of a_0 and damping is what ends it;
+    that of (5) where it is less than ``left`` squared; else None.
 
     ``nothing``: displacement (m) that counts as none. Collective.
     """
