@@ -9,6 +9,7 @@ import numpy as np
 
 from ...rotations import Array
 
+CUBIC = 4  # times as many values as common ones, from which on values between them count
 TRUSTED = 1.0 / 3.0  # share of the sum that errors are left with, however well they seem to cancel
 
 
@@ -85,3 +86,33 @@ def added_up(found: Iterable[Deviation]) -> float:
     times = np.unique(np.concatenate([d.times for d in found]))
     seen = float(np.abs(np.sum([d.at(times) for d in found], axis=0)).max(initial=0.0))
     return max(seen, TRUSTED * sum(d.size for d in found))
+
+
+def between_ends(t: Array, x: Array, times: Array, y: Array, common: Deviation) -> Deviation:
+    """What a series ``x`` (n, size) at ``t`` (s) has beyond ``y`` at ``times`` with larger steps: ``common`` where both are known,
+    and more instants of ``y`` where few are common: a narrow peak lies between.
+
+    There x is on the cubic through four values, and counts as known to what a parabola through three of them differs by: where
+    that is more, as about kinks and jumps, nothing is told.
+    """
+    other = np.setdiff1d(np.arange(len(times)), np.searchsorted(times, common.times - 1e-9 * times[-1]))
+    if len(t) < CUBIC * len(common.times) or not len(other):
+        return common
+    first = np.clip(np.searchsorted(t, times[other]) - 2, 0, len(t) - 4)
+    s, at = t[first[:, None] + np.arange(4)], times[other]
+    flat = x.reshape(len(t), -1)
+
+    def on(points: int) -> Array:
+        """Lagrange's polynomial through the first so many points."""
+        total = np.zeros((len(at), flat.shape[1]))
+        for i in range(points):
+            weight = np.prod([(at - s[:, j]) / (s[:, i] - s[:, j]) for j in range(points) if j != i], axis=0)
+            total += weight[:, None] * flat[first + i]
+        return total
+
+    cubic = on(4)
+    apart = cubic - y.reshape(len(times), -1)[other]
+    told = np.sign(apart) * np.maximum(np.abs(apart) - np.abs(cubic - on(3)), 0.0)
+    rows = np.argsort(np.concatenate((common.times, at)), kind="stable")
+    values = np.concatenate((common.values, told.reshape(-1, *x.shape[1:])))
+    return Deviation(np.concatenate((common.times, at))[rows], values[rows])

@@ -14,7 +14,7 @@ from ..recording.recorder import Recorder
 from ..schedule import StepSchedule, step_schedule
 from .certificate import moving
 from .companion_runs import UNFIT, Compared, StoppedError, again, companion
-from .deviation import Deviation, alignment, at_least, scaled
+from .deviation import Deviation, alignment, at_least, between_ends, scaled
 from .jumps_in_time import with_break_points
 from .orders import (
     REGULAR,
@@ -288,12 +288,15 @@ def between(fine: Recorder, coarse: Recorder, sensors: Iterable[str]) -> dict[st
 
 
 def _deviation(fine: Recorder, coarse: Recorder, name: str) -> Deviation:
-    """A series less one recorded with larger steps, at the instants that both have."""
+    """A series less one recorded with larger steps, at the instants that both have, and at those between that tell more, see
+    :func:`.deviation.between_ends`.
+    """
     x, y = fine.series[name], coarse.series[name]
     t, rounding = fine.times, 1e-9 * fine.t_end
     rows = np.searchsorted(coarse.times, t - rounding).clip(max=len(coarse.times) - 1)
     common = np.abs(coarse.times[rows] - t) <= rounding
-    return Deviation(t[common], x[common] - y[rows[common]])
+    apart = Deviation(t[common], x[common] - y[rows[common]])
+    return between_ends(t, x, coarse.times, y, apart)
 
 
 def astray(given: Compared, apart: Mapping[str, Deviation], share: float = ASTRAY) -> list[str]:

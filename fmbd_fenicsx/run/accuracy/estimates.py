@@ -186,8 +186,8 @@ def _from_tolerance(
     """What a run with another tolerance has beyond a given one, at some of its records, and that run; collective.
 
     Where values between ends of steps are of a lower order, steps of a finer run end where the given one is recorded at its own,
-    or its errors would be taken for that one's. At other times, and beside few steps, it has half of the mean one at most: both
-    would share a long one, and what it is off.
+    or its errors would be taken for that one's. Both might share steps, and what these are off: it has halves of single ones, and
+    at other times half of the mean one at most.
     """
     recorder, schedule = given.recorder, given.schedule
     other, finer = replace(problem, scheme=replace(problem.scheme, rtol=rtol)), rtol < problem.scheme.rtol
@@ -200,8 +200,11 @@ def _from_tolerance(
         landing = landing.below(SHORT * mean)
 
     if lands:
-        landing = replace(landing, marks=tuple(sorted({*schedule.marks, *instants})))
-    if finer and problem.said.ends_ahead and not (lands and recorder.indices[-1] >= MANY):
+        ends = recorder.times[rows]
+        single = np.diff(recorder.indices[rows]) == 1
+        middles = (0.5 * (ends[1:] + ends[:-1]))[single]
+        landing = replace(landing, marks=tuple(sorted({*schedule.marks, *instants, *middles.tolist()})))
+    elif finer and problem.said.ends_ahead:
         landing = landing.below(HALF * mean)
     made = Compared(companion(other, landing, wanted, of).recorder, schedule, other.scheme)
     there = {n: x[rows] for n, x in recorder.series.items()}
