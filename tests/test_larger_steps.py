@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 from dae_problems import pendulum, torqued_links
-from tolerance_scenes import geared_chain
+from tolerance_scenes import MESHES, geared_chain
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError
+from fmbd_fenicsx.materials import linear_elastic
 from fmbd_fenicsx.run.accuracy import companion_runs, larger_steps
 from fmbd_fenicsx.run.accuracy.equal_steps import compare_steps
 from fmbd_fenicsx.run.accuracy.larger_steps import in_one, two_in_one, with_larger_steps
@@ -126,3 +127,21 @@ def test_what_was_refused_for_another_reason_is_not_tried_with_larger_steps() ->
     assert two_in_one(solved) is not None
     solved.run.counters.update({"rejections": 2.0, "rejected: Newton diverged": 2.0})
     assert two_in_one(solved) is None
+
+
+def test_vibrations_that_larger_steps_leave_out_are_stated() -> None:
+    """The end of a bar of unit wave speed, pulled by sin^2, beside its series: 3/4 of the order stated 0.35 of the error."""
+    mesh = fmbd.read_gmsh(MESHES / "block.py", size=(1.0, 0.1), counts=(6, 1), origin=(0.0, 0.0), quads=True)
+    bar = fmbd.AbsoluteBody("bar", mesh, degree=1, density=1.0, elastic=linear_elastic(1.0, 0.0))
+    scene = fmbd.Scene("pulled bar")
+    scene.add(bar, fmbd.fixed("wall", fmbd.ground, bar.surface("left")))
+    scene.add(fmbd.force("pull", bar.surface("right"), lambda t: (0.002 * np.sin(1.5 * t) ** 2, 0.0)))
+    scene.sensor("speed", fmbd.velocity(bar.surface("right")))
+    run = fmbd.solve(scene, t_end=3.0, scheme=fmbd.Radau(2), tol={"speed": 1e-3})
+
+    rates, t = np.pi * (np.arange(4000) + 0.5), run.times[:, None]
+    exact = (
+        0.02 * (np.sin(rates * t) / rates + (3.0 * np.sin(3.0 * t) - rates * np.sin(rates * t)) / (rates**2 - 9.0))
+    ).sum(1)
+    true = float(np.abs(run["speed"][:, 0] - exact).max())
+    assert true <= 1e-3 and 0.5 < run.certificate["speed"].total / true < 3.0

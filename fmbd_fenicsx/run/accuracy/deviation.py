@@ -10,6 +10,8 @@ import numpy as np
 from ...rotations import Array
 
 CUBIC = 4  # times as many values as common ones, from which on values between them count
+FAST = 4  # differences that tell vibrations within few steps from slow motion
+MISSED = 0.1  # of fast motion from which on it is not followed
 TRUSTED = 1.0 / 3.0  # share of the sum that errors are left with, however well they seem to cancel
 
 
@@ -67,6 +69,20 @@ def alignment(a: Deviation, b: Deviation) -> float:
     return float(np.vdot(x, y)) / size if size > 0.0 else 1.0
 
 
+def unresolved(found: Deviation, series: Deviation) -> bool:
+    """Whether a deviation of a series between ends of steps is mostly a vibration that larger ones left out: it changes as much
+    from one end to the next as it is large, as those of less than six ends in a period do, and its fourth differences, in which
+    slow motion is small, are more than a share :data:`MISSED` of those of the series.
+    """
+
+    def size(values: Array, differences: int) -> float:
+        return float(np.sqrt(np.square(np.diff(values, differences, axis=0)).mean()))
+
+    if len(found.times) <= FAST or size(found.values, 1) <= size(found.values, 0):
+        return False
+    return size(found.values, FAST) > MISSED * size(series.at(found.times), FAST)
+
+
 def sizes(found: dict[str, Deviation]) -> dict[str, float]:
     """Sensor -> largest error."""
     return {name: deviation.size for name, deviation in found.items()}
@@ -89,8 +105,8 @@ def added_up(found: Iterable[Deviation]) -> float:
 
 
 def between_ends(t: Array, x: Array, times: Array, y: Array, common: Deviation) -> Deviation:
-    """What a series ``x`` (n, size) at ``t`` (s) has beyond ``y`` at ``times`` with larger steps: ``common`` where both are known,
-    and more instants of ``y`` where few are common: a narrow peak lies between.
+    """What a series ``x`` (n, size) at ``t`` (s) has beyond ``y`` at ``times`` with larger steps: ``common`` where both are
+    known, and more instants of ``y`` where few are common: a narrow peak lies between.
 
     There x is on the cubic through four values, and counts as known to what a parabola through three of them differs by: where
     that is more, as about kinks and jumps, nothing is told.

@@ -20,6 +20,7 @@ from ..recording.output import Output
 from ..schedule import StepSchedule, far_side
 from ..single_run import Solved
 from .companion_runs import UNFIT, Compared, companion
+from .deviation import Deviation, unresolved
 from .equal_steps import FEWEST, TimeError, astray, between, compare_steps, of_order
 from .orders import MOST_LEFT, REGULAR, TOO_HIGH, expected_orders, resolved, seen_by_ends
 from .search.shares import DOUBTED, Allowed
@@ -109,20 +110,26 @@ def larger_steps_error(solved: Solved, two: Compared, allowed: Allowed) -> TimeE
     """The error by the steps of a run beside one with ``two`` in one; None where larger ones do not tell it; collective.
 
     They tell it where half of the order of the scheme would be enough, or most of it is far too much; stated is what :data:`SLOW`
-    of the order has. Else steps that are four in one show the order: see :func:`.compare_steps`. Beside steps that were refused,
-    of smooth motion as of kinks, it has to be that of the scheme.
+    of the order has, or order one where larger steps leave out vibrations (:func:`.deviation.unresolved`). Else steps that are
+    four in one show the order: see :func:`.compare_steps`. Beside steps that were refused, of smooth motion as of kinks,
+    it has to be that of the scheme.
     """
     problem, given, sensors = solved.problem, solved.compared, allowed.sensors
-    refused = bool(solved.run.counters.get("rejections"))
+    refused, own = bool(solved.run.counters.get("rejections")), given.recorder
     expected = expected_orders(problem.scheme, problem.scene, problem.system)
+    apart = between(own, two.recorder, expected)
+    quick = {n: 1 for n, x in apart.items() if unresolved(x, Deviation(own.times, own.series[n]))}
 
-    slow = TimeError(of_order(expected, given, two, SLOW), dict.fromkeys(expected, float("nan")), two)
+    def told(share: float) -> dict[str, Deviation]:
+        return of_order(expected, given, two, share) | of_order(quick, given, two, 1.0)
+
+    slow = TimeError(told(SLOW), dict.fromkeys(expected, float("nan")), two)
     if allowed.share(slow.errors) > DOUBTED * allowed.room:
         return slow
-    if astray(given, between(given.recorder, two.recorder, sensors)):
+    if astray(given, {n: apart[n] for n in sensors}):
         return None
     taken_for_granted = not refused or SLOW * problem.scheme.order <= MOST_LEFT
-    if taken_for_granted and allowed.lets(of_order(expected, given, two, 0.5)):
+    if taken_for_granted and allowed.lets(told(0.5)):
         return slow
 
     four = with_larger_steps(problem, given, 4) if given.steps >= MANY else None
