@@ -89,10 +89,10 @@ def check_point(mesh: Any, point: Sequence[float] | Array, what: str) -> None:
     """Refuse a point that lies outside a :class:`~fmbd_fenicsx.Mesh`; collective."""
     distance, _, _ = distance_to(mesh.dolfinx, np.asarray(point, dtype=float))
     if distance > CLOSE * mesh.extent:
-        x = mesh.dolfinx.geometry.x[:, : mesh.dim]
-        boxes = mesh.dolfinx.comm.allgather((x.min(0), x.max(0)) if len(x) else None)
-        low = np.min([b[0] for b in boxes if b is not None], axis=0)
-        high = np.max([b[1] for b in boxes if b is not None], axis=0)
+        nodes = mesh.dolfinx.geometry.x[:, : mesh.dim]
+        of_ranks = mesh.dolfinx.comm.allgather((nodes.min(0), nodes.max(0)) if len(nodes) else None)
+        boxes = np.array([box for box in of_ranks if box is not None])
+        low, high = boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)
         raise InputError(
             f"{what}: the point {tuple(float(c) for c in point)} lies {distance:.3g} m outside of {mesh.label}, which reaches "
             f"from {low.round(6).tolist()} to {high.round(6).tolist()}. Points are those of the mesh as it was placed."

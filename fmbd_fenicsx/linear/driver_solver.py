@@ -142,14 +142,16 @@ class DriverSolver:
 
     def _metrics(self, states: States, metrics: Sequence[Weights]) -> list[tuple[float, float]] | None:
         """Weights of C and K in the metrics of states, which are chosen then; None where they are not the driver's."""
-        first, different = states.state(0), {id(x): x for x in metrics}.values()  # many share a few
-        usable = self.one_call(first.t, first.q, first.v) is not None
-        alike = not self.states.system.fields or all(x == metrics[0] for x in different)
-        if not usable or not alike or not all(x.cm == 1.0 and x.real for x in different):
+        first, different = states.state(0), {id(metric): metric for metric in metrics}.values()  # many share a few
+        if self.one_call(first.t, first.q, first.v) is None:
+            return None
+        if not all(metric.cm == 1.0 and metric.real for metric in different):
+            return None
+        if self.states.system.fields and any(metric != metrics[0] for metric in different):
             return None
         if metrics[0] != MASSES:
             self._choose(self.states.at(first.t, first.q, first.v), metrics[0])
-        return [(x.cd, x.ck) for x in metrics]
+        return [(metric.cd, metric.ck) for metric in metrics]
 
     def arrived(self, t: float, q: Array, v: Array, *, places: bool) -> State | None:
         """The state on the constraints next to q and v in one call, as ExplicitStates; None as above. Fields take new factors."""

@@ -191,13 +191,13 @@ class SceneTies:
     def __init__(self, system: System, weights: Any) -> None:
         self.comm = system.comm
         self.elastic = [Elastic(p.field, weights.cm, weights.ck) for _, p in system.fields]
-        position = {k: i for i, (k, _) in enumerate(system.fields)}
+        number = {k: i for i, (k, _) in enumerate(system.fields)}
         self.ties = []
-        for t, _ in system.traces:
-            sides = tuple((position[x.part], x.trace, x.coupling) for x in t.sides if x.part is not None)
-            d = 1 if t.normal is not None else t.data.shape[1]
-            columns = tuple((k, _columns(trace, B, t)) for k, trace, B in sides)
-            self.ties.append(TraceTie(t.name, columns, d, sides))
+        for tie, _ in system.traces:
+            sides = tuple((number[side.part], side.trace, side.coupling) for side in tie.sides if side.part is not None)
+            columns = tuple((k, _columns(trace, coupling, tie)) for k, trace, coupling in sides)
+            components = tie.data.shape[1] if tie.normal is None else 1
+            self.ties.append(TraceTie(tie.name, columns, components, sides))
 
     def diagonal(self, k: int) -> Array:
         """diag(cm M + ck K) on this rank; collective."""

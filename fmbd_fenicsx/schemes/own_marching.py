@@ -102,14 +102,19 @@ class OwnMarch(MarchingStepper):
     def _lend_own(self, own: OwnRoom) -> None:
         """What error control has seen so far, and where the steps of a call end."""
         assert self.proposed is not None and self._used is not None
-        control, norm, t, (limit, count) = self.control, self.norm, self.state.t, self._ahead
+        control, norm, (limit, count) = self.control, self.norm, self._ahead
         control.span = max(control.span, limit)
         own.lend(norm.q_size, norm.v_size, norm.deflections)
+        own.c.worst = own.c.refused = 0.0
+        own.c.failed[:] = [0.0] * len(own.c.failed)
+
+        # where its steps end
         own.pass_by(self.ends[:-1])
         own.c.sample = np.inf if self._alone_now else next_sample(self.system)
-        own.c.until, own.c.longest, own.c.tiny = self._end(limit), min(self.longest, self.longest_stable), control.tiny
-        own.c.worst, own.c.refused, own.c.failed[:] = 0.0, 0.0, [0.0] * len(own.c.failed)
-        own.c.last = t + (count - 1) * min(limit, self.proposed)  # whoever begins later passes what somebody waits for
+        own.c.until = self._end(limit)
+        own.c.longest, own.c.tiny = min(self.longest, self.longest_stable), control.tiny
+        # whoever begins later passes what somebody waits for
+        own.c.last = self.state.t + (count - 1) * min(limit, self.proposed)
         self._used.parameters[CHOSEN] = True
 
     def _take_own(self, own: OwnRoom, made: int) -> None:

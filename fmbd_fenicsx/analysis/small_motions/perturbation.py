@@ -151,12 +151,12 @@ class Perturbation:
         sides, weights = (np.array(x) for x in zip(*SIDES, strict=True))
 
         # each at all of its places
-        steps = (np.outer(sides, sizes).ravel(), np.tile(np.arange(len(sizes)), len(sides)))
-        v, a = (x + steps[0][:, None] * change[steps[1]] for x, change in ((s.v, v), (s.a, a)))
-        count = len(v)
-        still = np.broadcast_to(s.q, (count, len(s.q)))
-        q = still if y is None else self.system.compose(s.q, steps[0][:, None] * y[steps[1]])
-        forces = self.system.batch(np.full(count, s.t), q, v).balance(a, np.broadcast_to(s.lam, (count, len(s.lam))))
+        steps, which = np.outer(sides, sizes).reshape(-1, 1), np.tile(np.arange(len(sizes)), len(sides))
+        count = len(which)
+        still, lam = (np.broadcast_to(x, (count, len(x))) for x in (s.q, s.lam))
+        q = still if y is None else self.system.compose(s.q, steps * y[which])
+        moved_on = self.system.batch(np.full(count, s.t), q, s.v + steps * v[which])
+        forces = moved_on.balance(s.a + steps * a[which], lam)
         if y is not None and self.closed is not None:
             forces = forces - np.array([self._pushed(x) for x in q])
         summed = np.einsum("i,ijk->jk", weights, forces.reshape(len(sides), len(sizes), -1))

@@ -255,14 +255,13 @@ class Completed:
 
 def seen(functions: Multipliers, fields: Multipliers) -> Array:
     """int mu_j f_k of functions and of fields on one trace, (n, k)."""
-    t = functions.trace
-    m = t.dim - 1
-    q, w = quadrature(m, functions.degree + fields.degree)
-    one, other = (shape_functions(m, x.degree, q) for x in (functions, fields))
-    blocks = np.einsum("f,q,qa,qb->fab", t.sizes, w, one, other, optimize=True)
+    sizes, dim = functions.trace.sizes, functions.trace.dim - 1
+    points, weights = quadrature(dim, functions.degree + fields.degree)
+    one, other = (shape_functions(dim, space.degree, points) for space in (functions, fields))
+    blocks = np.einsum("f,q,qa,qb->fab", sizes, weights, one, other, optimize=True)
 
-    rows = np.arange(len(t.sizes) * one.shape[1]).reshape(len(t.sizes), -1)
-    columns = np.arange(len(t.sizes) * other.shape[1]).reshape(len(t.sizes), -1)
+    rows = np.arange(len(sizes) * one.shape[1]).reshape(len(sizes), -1)
+    columns = np.arange(len(sizes) * other.shape[1]).reshape(len(sizes), -1)
     mass = scatter(blocks, rows, columns, (rows.size, columns.size))
     return np.asarray((functions.basis @ mass @ fields.basis.T).toarray())
 

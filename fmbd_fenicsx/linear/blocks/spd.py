@@ -167,8 +167,9 @@ class MassInverse(FieldFactor):
         rows = B.reshape(-1, self.field.dim * k)
         X = self.component.solve(rows)
         R = (self.field.mass(X) - rows).reshape(B.shape)
-        for rr, bb in np.sqrt(self.field.total(np.stack(((R * R).sum(axis=0), (B * B).sum(axis=0))))).T:
-            self.judge.check(float(rr), float(bb))
+        squares = np.stack(((R * R).sum(axis=0), (B * B).sum(axis=0)))
+        for residual, size in np.sqrt(self.field.total(squares)).T:
+            self.judge.check(float(residual), float(size))
         return X.reshape(B.shape) / self.cm
 
     def in_c(self) -> InC | None:

@@ -35,7 +35,8 @@ class WholeStructure:
     def __init__(self, patterns: Mapping[str, Pattern], stages: int) -> None:
         self.stages = k = stages
         self.patterns = of = {name: patterns[name].repeated(k) for name in USED}
-        (self.m, self.n), self.ties, self.size = patterns["G"].shape, patterns["R"].shape[0], patterns["by_q"].shape[0]
+        self.m, self.n = patterns["G"].shape
+        self.ties, self.size = patterns["R"].shape[0], patterns["by_q"].shape[0]
         self.levels = (self.size - self.n - self.ties) // self.m if self.m else 0
 
         moved = np.arange(k * self.n)
@@ -107,31 +108,37 @@ class WholePencil:
     ) -> None:
         o = self.structure = structure
         self.judge, self.softened, self.corrections = judge, units is not None, corrections
-        self.data = {name: np.concatenate([getattr(x, name) for x in tangents]) for name in o.patterns}
-        T, n = self.data, o.n
-        rates = np.repeat(S, n, axis=0).ravel()
-        self.D = o.D.data(rates, -T["J"])
-        self.va = o.va.data(T["by_v"], o.a.data(T["by_a"], rates))
+        self.data = data = {name: np.concatenate([getattr(one, name) for one in tangents]) for name in o.patterns}
+        rates = np.repeat(S, o.n, axis=0).ravel()
+        self.D = o.D.data(rates, -data["J"])
+        self.va = o.va.data(data["by_v"], o.a.data(data["by_a"], rates))
 
-        across = [x.data(a, T["U"]) for x, a in zip(o.across, (self.va, T["by_a"]), strict=False)]
-        moves, gradients = o.moves.data(self.va, self.D), [T["G"]] if o.levels else []
+        # the columns of (1)
+        moves = o.moves.data(self.va, self.D)
+        gradients = [data["G"]] if o.levels else []
+        across = [of.data(left, data["U"]) for of, left in zip(o.across, (self.va, data["by_a"]), strict=False)]
         self.softness = self._softness(S, first, units)
-        data = T["by_q"], moves, *gradients, *across, *self.softness, T["R"], -np.ones(o.stages * o.ties)
-        self._factor(o.whole.pattern.matrix(o.whole.data(*data)).T.copy())  # its own entries, which are made fewer
+        efforts = -np.ones(o.stages * o.ties)
+        entries = o.whole.data(data["by_q"], moves, *gradients, *across, *self.softness, data["R"], efforts)
+        self._factor(o.whole.pattern.matrix(entries).T.copy())  # its own entries, which are made fewer
 
     def _softness(self, S: Array, first: int, units: Array | None) -> list[Array]:
         """What rows that depend on each other have on their multipliers, level by level, by the masses."""
         o = self.structure
         if units is None:
             return [np.zeros(len(o.soft))] * o.levels
-        every = np.tile(units, o.stages)
         M, G = o.patterns["M"], o.patterns["G"]
         masses = np.bincount(M.rows, np.where(M.rows == M.columns, self.data["M"], 0.0), M.shape[0])
-        light = np.where(masses > 0, 1.0 / np.where(masses > 0, masses, 1.0), 0.0)
-        soft = SOFT * (every**2 * G.times(self.data["G"] ** 2, light[None])[0]).max(initial=0.0) / every**2
+        moved = np.where(masses > 0, 1.0 / np.where(masses > 0, masses, 1.0), 0.0)  # by a force of one
+
+        # a share of what moves most, in the units of the multipliers
+        squares = np.tile(units, o.stages) ** 2
+        softest = (squares * G.times(self.data["G"] ** 2, moved[None])[0]).max(initial=0.0)
+        soft = (SOFT * softest / squares)[o.soft.columns]
         compliance = -np.linalg.matrix_power(np.linalg.inv(S), 2 - first)
-        pulled = np.repeat(compliance, o.m, axis=0).ravel() * soft[o.soft.columns]
-        return [pulled, *[np.where(o.soft.rows == o.soft.columns, soft[o.soft.columns], 0.0)] * (o.levels - 1)]
+        of_first = np.repeat(compliance, o.m, axis=0).ravel() * soft
+        of_others = np.where(o.soft.rows == o.soft.columns, soft, 0.0)
+        return [of_first, *[of_others] * (o.levels - 1)]
 
     def _factor(self, K: Any) -> None:
         judge = self.judge

@@ -85,14 +85,12 @@ def relative_of(
 ) -> RelativeCoordinates:
     """The batch of joint coordinates of one kind from (coordinate, marker a, marker b)."""
     found = list(entries)
-    e = [
-        np.zeros(m.dim) if s.joint.axis is None or (kind is RelativeAngle and m.dim == 2) else s.joint.axis
-        for s, _, _ in found
-    ]
-    if kind is Separation:
-        e = [np.zeros(m.dim)] * len(found)
+    axes = np.zeros((len(found), m.dim))
+    if not (kind is Separation or (kind is RelativeAngle and m.dim == 2)):
+        for axis, (coordinate, _, _) in zip(axes, found, strict=True):
+            axis[:] = 0.0 if coordinate.joint.axis is None else coordinate.joint.axis
     a, b = (np.array([entry[i] for entry in found], dtype=int) for i in (1, 2))
-    return kind(m, a, b, np.reshape(e, (len(found), m.dim)))
+    return kind(m, a, b, axes)
 
 
 def coordinates_of(

@@ -387,14 +387,19 @@ class Program:
 
     def __init__(self, results: Sequence[Expression], *, numbers: bool = False) -> None:
         nodes = _ordered(results)
-        at = {node: i for i, node in enumerate(nodes)}
+        place = {node: i for i, node in enumerate(nodes)}
         known = _PLAIN if numbers else _NUMPY
-        self.given = [x.arguments[0] if x.operation == "constant" else None for x in nodes]
-        self.symbols = [(at[x], x.arguments[0]) for x in nodes if x.operation == "symbol"]
-        self.steps = [
-            (at[x], known[x.operation], tuple(at[y] for y in x.arguments)) for x in nodes if x.operation in known
-        ]
-        self.results = [at[y] for y in results]
+        self.given: list[Any] = [None] * len(nodes)
+        self.symbols: list[tuple[int, str]] = []
+        self.steps: list[tuple[int, Callable[..., Any], tuple[int, ...]]] = []
+        for i, node in enumerate(nodes):
+            if node.operation == "constant":
+                self.given[i] = node.arguments[0]
+            elif node.operation == "symbol":
+                self.symbols.append((i, node.arguments[0]))
+            elif node.operation in known:
+                self.steps.append((i, known[node.operation], tuple(place[x] for x in node.arguments)))
+        self.results = [place[result] for result in results]
 
     def __call__(self, values: Mapping[str, Any]) -> list[Any]:
         """Numbers or arrays of all results; ``values``: symbol -> number or array."""

@@ -72,20 +72,23 @@ def polynomial(
     values: Sequence[float], ends: tuple[float, float], served: tuple[float, float]
 ) -> TimePolynomial | None:
     """That of values at :func:`times_between` both ends, for an interval that it is to serve; None where (2) does not hold."""
-    s, middle, radius = np.array(values), 0.5 * (ends[0] + ends[1]), 0.5 * (ends[1] - ends[0])
-    c = _SERIES @ s
-    size, e = float(np.abs(s).max()), float(np.abs(c[3 * N // 4 :]).max())
+    middle, radius = 0.5 * (ends[0] + ends[1]), 0.5 * (ends[1] - ends[0])
+    size = float(np.abs(np.array(values)).max())
+    c = _SERIES @ np.array(values)
+    e = float(np.abs(c[3 * N // 4 :]).max())
     last = int(np.flatnonzero(np.abs(c) > ROUNDED * e).max(initial=0))
     c[last + 1 :] = 0.0
     rate = _RATE @ c
     curve = _RATE @ rate
 
     if e > SEEN * size:
-        x = np.linspace(max((served[0] - middle) / radius, -1.0), min((served[1] - middle) / radius, 1.0), 9)
+        first, end = max((served[0] - middle) / radius, -1.0), min((served[1] - middle) / radius, 1.0)
+        x = np.linspace(first, end, 9)
         T = np.cos(np.outer(np.arccos(x), _K))
         slopes, curves = _largest_derivatives(float(np.abs(x).max()))
-        lost = e * slopes[: last + 1].sum(), e * curves[: last + 1].sum()
-        if not (lost[0] < RATE * np.abs(T @ rate).max() and lost[1] < CURVE * np.abs(T @ curve).max()):
+        rate_holds = e * slopes[: last + 1].sum() < RATE * np.abs(T @ rate).max()
+        curve_holds = e * curves[: last + 1].sum() < CURVE * np.abs(T @ curve).max()
+        if not (rate_holds and curve_holds):
             return None
     series = np.stack((c, rate / radius, curve / radius**2), axis=1)
     return TimePolynomial(middle, radius, series, OFF * (e + EPS * size))

@@ -74,14 +74,16 @@ class Certificate:
 
     def __str__(self) -> str:
         """A table, one line for each sensor."""
-        width = max([len(s.sensor) for s in self.statements] + [6])
-        lines = [f"{'sensor':<{width}} " + "".join(f"{k:>10}" for k in (*KINDS, "total", "of range")) + "  unit"]
-        for s in self.statements:
-            numbers = [getattr(s, k) for k in KINDS]
-            shown = "".join(f"{'-':>10}" if x is None else f"{x:>10.1e}" for x in (*numbers, s.total, s.share))
-            lines.append(f"{s.sensor:<{width}} {shown}  {s.unit}")
+        table = [("sensor", [*KINDS, "total", "of range"], "unit")]
+        for statement in self.statements:
+            numbers = [*(getattr(statement, kind) for kind in KINDS), statement.total, statement.share]
+            table.append((statement.sensor, ["-" if x is None else f"{x:.1e}" for x in numbers], statement.unit))
+
+        width = max(len(sensor) for sensor, _, _ in table)
+        lines = [f"{sensor:<{width}} {''.join(f'{x:>10}' for x in cells)}  {unit}" for sensor, cells, unit in table]
         lines += [f"{kind} not stated: {why}" for kind, why in self.unstated.items()]
-        lines += [f"{self.joint}: of time and space, told by one run with less of both"] if self.joint else []
+        if self.joint:
+            lines.append(f"{self.joint}: of time and space, told by one run with less of both")
         return "\n".join([*lines, *self.uncertain.values()])
 
     def as_dict(self) -> dict[str, object]:

@@ -45,6 +45,7 @@ def expected_orders(scheme: Any, scene: Scene, system: System) -> dict[str, int]
     known = (scheme.order,) * 3 if orders is None else orders
     if Declared.by(scheme).corrects and not system.fields:
         known = (*known[:2], known[1])
+
     found = collocated(system) if Declared.by(scheme).finds_memories else []
     left = [keeper for keeper in system.keepers if keeper not in found]
     remembers = any(len(keeper.memory_values()) for keeper in left) or seen_by_ends(system)

@@ -136,12 +136,14 @@ class ContactAlphaStepper(ElasticContactStepper):
     def begin_anew(self, start: Callable[[], State]) -> bool:
         """Go on in the same place behind a jump of forces F: a and A jump by da, (M + h^2 K / 4) da + G^T dlambda = dF."""
         before, s = self.state, start()
-        zero = np.zeros(self.system.n_v)
-        ev = self.system.at(s.t, s.q, s.v)
-        jump = ev.balance(zero) - self.system.at(before.t, s.q, s.v).balance(zero)
-        self.solver.prepare(ev, Weights(1.0, 0.0, 0.25 * self.size**2))
+        still = np.zeros(self.system.n_v)
+        ahead, behind = self.system.at(s.t, s.q, s.v), self.system.at(before.t, s.q, s.v)
+        jump = ahead.balance(still) - behind.balance(still)
+
+        self.solver.prepare(ahead, Weights(1.0, 0.0, 0.25 * self.size**2))
         da, dlam = self.solver.solve(-jump, np.zeros(self.system.n_lam))
-        self.A, self.state = self.A + da, replace(self.state, t=s.t, a=s.a + da, lam=s.lam + dlam)
+        self.A = self.A + da
+        self.state = replace(self.state, t=s.t, a=s.a + da, lam=s.lam + dlam)
         return True
 
     def advance(self, h: float) -> State:

@@ -58,9 +58,9 @@ class Switching(TimeStepper):
     def __init__(self, outer: Unilateral, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
         self.outer, self.system, self.solver, self.newton = outer, system, solver, newton
         laws: list[Any] = [law for law, _ in system.port_constraints]
-        heads = {law.status.rows.start: law for law in laws if isinstance(law, HeadSide)}
         wires = {law.status.rows.start: law for law in laws if isinstance(law, WireSide)}
-        self.pairs: list[tuple[Any, Any]] = [(wires[r], h) for r, h in heads.items() if h.idle is not None]
+        heads = [law for law in laws if isinstance(law, HeadSide) and law.idle is not None]
+        self.pairs: list[tuple[Any, Any]] = [(wires[head.status.rows.start], head) for head in heads]
         require(not Declared.by(outer.scheme).adaptive, "Unilateral contact needs a constant step.")
         self.inner = made_stepper(outer.scheme, system, solver, newton, state)
         self.opened = self.returned = 0

@@ -39,7 +39,9 @@ class FieldTangent:
         direction = np.array((dq, dv, da))
         parts = direction if direction.ndim == 3 else direction[:, None]
         count, wide = parts.shape[1], direction.dtype.kind == "c"
-        parts = np.concatenate((parts.real, parts.imag), axis=1) if wide else parts
+        if wide:
+            parts = np.concatenate((parts.real, parts.imag), axis=1)
+
         sizes = system.each_max_abs(parts)
         eps = np.array([[self._shift(*map(float, each))] for each in sizes.T])
 
@@ -50,7 +52,9 @@ class FieldTangent:
             change = (self.form.lower(ev.balance(a, lam), ev, a) - self.low) / eps
         if self.pressures.fields and sizes[0].any():
             change[:, : system.n_v] += self.pressures.stiffness(parts[0])
-        change = change[:count] + 1j * change[count:] if wide else change
+
+        if wide:
+            change = change[:count] + 1j * change[count:]
         return change if direction.ndim == 3 else change[0]
 
     def _shift(self, place: float, speed: float, push: float) -> float:

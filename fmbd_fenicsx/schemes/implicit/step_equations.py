@@ -177,14 +177,18 @@ class StepEquations(Equations):
         Where rows depend, by the directions of the points evaluated last: forces between joints that cancel there do not by those
         of the tangent, and nothing else bounds them.
         """
-        m, own = self.system.n_lam, self.solver.core.redundant and not self.form.frozen
         if not self.levels:
             return None
-        normal = self._normal_at(self._batch(*self._evaluated)) if own else None
+        m = self.system.n_lam
         accelerating = (0,) if self.levels < 3 else (0, 2)
         parts = [mult[:, level * m : (level + 1) * m] for level in accelerating]
-        caused = [self.tangents.normally(x) if normal is None else _along(normal, x) for x in parts]
-        return caused[0] if self.levels < 3 else np.concatenate(caused)
+
+        if self.solver.core.redundant and not self.form.frozen:
+            normal = self._normal_at(self._batch(*self._evaluated))
+            caused = [_along(normal, part) for part in parts]
+        else:
+            caused = [self.tangents.normally(part) for part in parts]
+        return np.concatenate(caused) if len(caused) > 1 else caused[0]
 
     def pulls(self, mult: Array) -> Array | None:
         """Accelerations that the efforts of ties in the multipliers (k, n_mult) cause, (k, n_v); None without ties."""

@@ -330,12 +330,14 @@ class BDFStepper(ImplicitStepper):
         count = min(self.orders.k + 1, len(self.past))
         if count < 2 or not self.past[count - 1].t <= t <= self.state.t:
             return None
-        times, xis, vs = local(self.system, self.state.q, self.past[:count])
-        w = weights(times, t)
-        m, s = self.system.n_lam, self.state
-        mult = w @ np.array([p.mult for p in self.past[:count]])
-        within = State(t, self.system.compose(s.q, w @ xis), w @ vs, slopes(times, np.array(t)) @ vs, mult[:m])
-        return self._held(s.t - self.past[1].t, within)
+
+        known = self.past[:count]
+        times, places, velocities = local(self.system, self.state.q, known)
+        shares, rates = weights(times, t), slopes(times, np.array(t))
+        q = self.system.compose(self.state.q, shares @ places)
+        mult = shares @ np.array([past.mult for past in known])
+        within = State(t, q, shares @ velocities, rates @ velocities, mult[: self.system.n_lam])
+        return self._held(self.state.t - known[1].t, within)
 
     def within(self, steps: KeptSteps) -> States:
         """As :meth:`TimeStepper.within`: those of one order together."""

@@ -45,14 +45,15 @@ def differences(
 
     With the answers that are ``known`` at x each takes one call, and is exact to 1e-6 of the law's curvature; else two.
     """
-    found = []
-    for k in range(len(x)):
+    by_first, by_second = [], []
+    for k, number in enumerate(x):
         step = np.zeros(len(x))
-        step[k] = 1e-6 * (max(float(size[k]), abs(float(x[k]))) or 1.0)
+        step[k] = 1e-6 * (max(float(size[k]), abs(float(number))) or 1.0)
         ahead, behind = asked(x + step), known or asked(x - step)
         apart = step[k] if known else 2 * step[k]
-        found.append([(p - q) / apart for p, q in zip(ahead, behind, strict=True)])
-    return np.array([one for one, _ in found]).T, np.array([other for _, other in found]).T
+        by_first.append((ahead[0] - behind[0]) / apart)
+        by_second.append((ahead[1] - behind[1]) / apart)
+    return np.array(by_first).T, np.array(by_second).T
 
 
 def unfelt(ask: Callable[[Array, Array], Answers], y: Array, z: Array, places: Array) -> Array:

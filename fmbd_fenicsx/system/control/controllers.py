@@ -53,12 +53,14 @@ class ControlLoads(Loads):
     def __init__(
         self, motions: Motions, controller: Controller, acts: Sequence[RelativeCoordinates], readings: Sequence[Reading]
     ) -> None:
-        super().__init__(motions, [controller] * len(acts), [(int(r.a[0]), int(r.b[0])) for r in acts])
+        markers = [(int(coordinate.a[0]), int(coordinate.b[0])) for coordinate in acts]
+        super().__init__(motions, [controller] * len(acts), markers)
         self.controller, self.acts, self.readings = controller, tuple(acts), tuple(readings)
+
         self.size, self.parts = 0, dict[str, slice]()
-        for r in self.readings if controller.every is None else ():
-            self.parts[r.name] = slice(self.size, self.size + r.size)
-            self.size += r.size
+        for reading in self.readings if controller.every is None else ():
+            self.parts[reading.name] = slice(self.size, self.size + reading.size)
+            self.size += reading.size
         self.law = LawWithMemory(controller, self.parts)
         self._held: Array = -self.law.kept.u  # between samples, as the driver reads them
 
@@ -241,10 +243,14 @@ class ControlLoads(Loads):
             return self.law.after(state.t, self.read(ev.kin))
         if state.t < self.due:
             return kept
-        values = [r.at(ev.kin) if r.relative else r.sensor.read(ev, state, r.marker) for r in self.readings]
-        y = {r.name: x.copy() for r, x in zip(self.readings, values, strict=True)}
+
+        y = {}
+        for reading in self.readings:
+            value = reading.at(ev.kin) if reading.relative else reading.sensor.read(ev, state, reading.marker)
+            y[reading.name] = value.copy()
         u, z = self.law.ask(state.t, y, kept.z)
-        return ControllerMemory(state.t, z, kept.rate, u, int(np.floor(state.t / every + _AT)) + 1)
+        next_sample = int(np.floor(state.t / every + _AT)) + 1
+        return ControllerMemory(state.t, z, kept.rate, u, next_sample)
 
 
 @dataclass(frozen=True, eq=False)

@@ -149,13 +149,18 @@ class Builder:
             somewhere = joint.center_a is not None and joint.center_b is not None
             default = self.markers.default_point(joint) if joint.joined and not somewhere else None
             a = self.markers.add(joint.a, default if joint.center_a is None else joint.center_a)
-            new = Closing(joint, a, len(self.markers.places)) if origin is not None and origin.closes(joint) else None
+
+            # a joint that a going-on scene closes catches its second side where that is
             point = default if joint.center_b is None else joint.center_b
-            b = self.markers.add(joint.b, None if new is not None and new.caught else point)
-            narrow = [x for side in (joint.a, joint.b) if isinstance(side, Surface) and (x := self.bodies.narrow(side))]
+            if origin is not None and origin.closes(joint):
+                closing = Closing(joint, a, len(self.markers.places))
+                self.closing.append(closing)
+                point = None if closing.caught else point
+            b = self.markers.add(joint.b, point)
+
+            surfaces = [side for side in (joint.a, joint.b) if isinstance(side, Surface)]
+            narrow = [width for side in surfaces if (width := self.bodies.narrow(side))]
             rows.add(joint, (a, b), min(narrow, default=0.0))
-            if new is not None:
-                self.closing.append(new)
 
         for body in self.scene.bodies.values():
             if not (body.turns or body.locked):

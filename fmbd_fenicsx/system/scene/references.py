@@ -76,10 +76,10 @@ def check_sensors(scene: Scene, rows: set[str]) -> None:
 
 def surfaces_in_use(scene: Scene) -> dict[str, list[str]]:
     """Names of the surfaces of each body that joints, forces and sensors are on."""
-    used: dict[str, list[str]] = {n: [] for n in scene.bodies}
-    sides = [s for j in scene.joints.values() for s in (j.a, j.b)]
-    sides += [s for f in scene.forces.values() for s in f.sides]
-    sides += [s.on for s in scene.sensors.values()]
+    used: dict[str, list[str]] = {body: [] for body in scene.bodies}
+    sides = [side for joint in scene.joints.values() for side in (joint.a, joint.b)]
+    sides += [side for force in scene.forces.values() for side in force.sides]
+    sides += [sensor.on for sensor in scene.sensors.values()]
     for side in sides:
         if isinstance(side, Surface) and side.name not in used[side.body.name]:
             used[side.body.name].append(side.name)

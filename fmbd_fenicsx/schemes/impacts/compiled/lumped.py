@@ -25,22 +25,26 @@ class LumpedInverse:
 
     def take(self, near: Any) -> None:
         """``near`` (m, m) sparse: which contacts E couples, themselves too."""
-        m, square, x = near.shape[0], self.d**2, self.arrays
-        x["place"], x["of"], fills = _eliminated(near)
-        row, other = sp.csr_matrix(near[x["of"]][:, x["of"]]).nonzero()
-        row, other = (k[row != other] for k in (row, other))
-        low, behind = fills
-        key = np.minimum(row, other) * m + np.maximum(row, other)
-        x["slot"] = np.searchsorted(low * m + behind, key)
-        x["first"], x["start"] = (np.searchsorted(k, np.arange(m + 1)) for k in (row, low))
-        x["near"], x["behind"], x["still"] = other, behind, np.zeros(m)
-        numbers = ("place", "of", "slot", "first", "start", "near", "behind", "still")
-        x.update({name: np.ascontiguousarray(x[name], np.int32) for name in numbers})
-        sizes = {"own": m, "W": len(row), "inner": m, "upper": len(behind), "lower": len(behind)}
-        x.update({name: np.zeros(n * square) for name, n in sizes.items()})
-        x["size"], x["work"] = np.zeros(m), np.zeros(2 * m * self.d * (1 + self.d))
+        m, square = near.shape[0], self.d**2
+        place, of, (low, behind) = _eliminated(near)
 
-        c, at = self.c, {name: address_of(one) for name, one in x.items()}
+        # where each pair of neighbours has its block among those that stand or fill
+        row, other = sp.csr_matrix(near[of][:, of]).nonzero()
+        apart = row != other
+        row, other = row[apart], other[apart]
+        slot = np.searchsorted(low * m + behind, np.minimum(row, other) * m + np.maximum(row, other))
+        first, start = (np.searchsorted(rows, np.arange(m + 1)) for rows in (row, low))
+
+        numbers = {
+            "place": place, "of": of, "slot": slot, "first": first, "start": start, "near": other, "behind": behind,
+            "still": np.zeros(m),
+        }  # fmt: skip
+        blocks_of = {"own": m, "W": len(row), "inner": m, "upper": len(behind), "lower": len(behind)}
+        self.arrays = {name: np.ascontiguousarray(x, np.int32) for name, x in numbers.items()}
+        self.arrays |= {name: np.zeros(count * square) for name, count in blocks_of.items()}
+        self.arrays |= {"size": np.zeros(m), "work": np.zeros(2 * m * self.d * (1 + self.d))}
+
+        c, at = self.c, {name: address_of(one) for name, one in self.arrays.items()}
         blocks = ("first", "near", "slot", "start", "behind", "own", "W")
         c.inverse = Problem(m=m, **{name: at[name] for name in blocks})
         c.blocks = Blocks(at["inner"], at["size"], at["upper"], at["lower"])

@@ -101,13 +101,19 @@ class CompiledProblem:
         self.room, self.room_applied = (0, m) if applied else (m, 0)
         d = self.d
         square, pairs = d * d, 0 if applied else m * (m - 1)
-        sizes = {"own": m * square, "W": pairs * square, "q": m * d, "u": m * d, "f": m * d, "mu": m}
-        sizes |= {"inner": m * square, "size": m, "upper": pairs // 2 * square, "lower": pairs // 2 * square}
-        sizes |= {"least": (VECTORS + 3 * d if applied else 3 + 2 * d) * m * d}
-        x = self.arrays = {name: np.zeros(size) for name, size in sizes.items()}
-        x["states"], x["known"] = np.zeros(2 * m, np.int32), np.ones(1, np.int32)
-        self.c.blocks = Blocks(*(address_of(x[name]) for name in ("inner", "size", "upper", "lower")))
-        self.c.least, self.c.states, self.c.known_of = (address_of(x[name]) for name in ("least", "states", "known"))
+        vectors = VECTORS + 3 * d if applied else 3 + 2 * d
+        sizes = {
+            "own": m * square, "W": pairs * square, "q": m * d, "u": m * d, "f": m * d, "mu": m,
+            "inner": m * square, "size": m, "upper": pairs // 2 * square, "lower": pairs // 2 * square,
+            "least": vectors * m * d,
+        }  # fmt: skip
+        self.arrays = {name: np.zeros(size) for name, size in sizes.items()}
+        self.arrays["states"] = np.zeros(2 * m, np.int32)
+        self.arrays["known"] = np.ones(1, np.int32)
+
+        at = {name: address_of(one) for name, one in self.arrays.items()}
+        self.c.blocks = Blocks(at["inner"], at["size"], at["upper"], at["lower"])
+        self.c.least, self.c.states, self.c.known_of = at["least"], at["states"], at["known"]
 
 
 @lru_cache(maxsize=32)

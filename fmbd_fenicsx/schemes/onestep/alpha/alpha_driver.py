@@ -97,19 +97,20 @@ class AlphaDriver(March):
         """``driver_error`` of alpha.c for its scale and span, and for q, v, a and lambda, with a matrix of these weights, or with
         that at hand; None where NumPy has to do.
         """
-        twin = self.tables.twin
-        e, y = np.zeros(self.system.n_v), np.zeros(self.system.n_lam)
-        q, v, a, lam = arrays
-        v, a, missed = twin.velocities(np.stack((v, a, missed)))
-        kept = [np.ascontiguousarray(x) for x in (twin.configurations(q[None])[0], v, a, lam, missed)]
-        *at, missing = [address_of(x) for x in kept]
         if self.tables.c.samples > (1 if weights is None else 0):
             self.calls.sample(t)  # a step may have left out the rates of motions
-        kept.append(np.zeros(0) if weights is None else np.array([weights.cd, weights.ck]))
-        shares = None if weights is None else address_of(kept[-1])
-        verdict = self.library.driver_error(self.address, *sizes, shares, *at, t, missing, address_of(e), address_of(y))
+
+        twin, (q, v, a, lam) = self.tables.twin, arrays
+        v, a, missed = twin.velocities(np.stack((v, a, missed)))
+        told = [np.ascontiguousarray(x) for x in (twin.configurations(q[None])[0], v, a, lam, missed)]
+        *at, missing = map(address_of, told)
+        shares = None if weights is None else np.array([weights.cd, weights.ck])
+        weighing = None if shares is None else address_of(shares)
+        error, room = np.zeros(self.system.n_v), np.zeros(self.system.n_lam)
+        answer = address_of(error), address_of(room)
+        verdict = self.library.driver_error(self.address, *sizes, weighing, *at, t, missing, *answer)
         self.calls.raise_error()
-        return None if verdict else twin.forces(e[None])[0]
+        return None if verdict else twin.forces(error[None])[0]
 
     def shut(self, states: States, weights: Weights, allowed: float, most: int) -> Array | None:
         """``driver_shut`` of march.c: q of states with closed joints, (k, n_q), by at most so many iterations each; None where

@@ -191,26 +191,34 @@ class EnergyMomentumStepper(StepsInParts):
 
     def _take_march(self, march: March, made: int) -> None:
         self._count_increments(march.parameters, made)
-        self.solver.core.factorisations += self.solver.driver.new_factors() if self.solver.driver else 0
-        count, n = 1 + int(march.parameters[HISTORY]), 2 + march.system.n_v
-        kept = [march.ring.own(i).copy() for i in range(count)]
-        self.past.known = [(float(x[0]), self._twin.forces(x[2:n]), x[n:]) for x in kept]
-        self.past.through = int(kept[0][1])
+        if self.solver.driver is not None:
+            self.solver.core.factorisations += self.solver.driver.new_factors()
         self._kept = None
-        self._warn_of_turns(float(march.parameters[H]), self.past.known[0][1], march.state(1).v)
+
+        # as :meth:`_own` has laid them out
+        steps, end = 1 + int(march.parameters[HISTORY]), 2 + march.system.n_v
+        kept = [march.ring.own(i).copy() for i in range(steps)]
+        self.past.known = [(float(own[0]), self._twin.forces(own[2:end]), own[end:]) for own in kept]
+        self.past.through = int(kept[0][1])
+
+        newest = self.past.known[0][1]
+        self._warn_of_turns(float(march.parameters[H]), newest, march.state(1).v)
 
     def _guess(self, h: float, ends: IterationEnds) -> tuple[Array, Array]:
         """Mean accelerations and multipliers of the next step; collective."""
-        s, past = self.state, self.past
+        system, s, past = self.system, self.state, self.past
         a, lam = past.predicted(s.t + 0.5 * h)
         self._rigid = None
-        if self.system.fields and past.missed > POOR * ends.size:
-            self._rigid = a.copy()
-            bodies: list[tuple[int, Any]] = list(self.system.fields)
-            for k, part in bodies:
-                U, V = self.system.local_q(s.q, k), self.system.local_v(s.v, k)
-                self.system.local_v(self._rigid, k)[:] = 2.0 / h**2 * (part.moved_rigidly(U, V, h) - U - h * V)
-        return self._rigid if past.rigidly and self._rigid is not None else a, lam
+        if not (system.fields and past.missed > POOR * ends.size):
+            return a, lam
+
+        # fields as they would move on rigidly
+        self._rigid = a.copy()
+        fields: list[tuple[int, Any]] = list(system.fields)
+        for k, part in fields:
+            U, V = system.local_q(s.q, k), system.local_v(s.v, k)
+            system.local_v(self._rigid, k)[:] = 2.0 / h**2 * (part.moved_rigidly(U, V, h) - U - h * V)
+        return self._rigid if past.rigidly else a, lam
 
     def _take(self, h: float, means: tuple[Array, Array], end: tuple[Array, Array]) -> State:
         """The state at the end of the step, its accelerations and multipliers solved for."""

@@ -160,16 +160,18 @@ class StageRoom(PointRoom):
         return address_of(made)
 
     def _make_room(self) -> None:
-        """Room for L and U."""
-        size, room, p = self.structure.size, self._room, self.c.frequencies
-        self._numbers = [np.empty(2 * count) for _ in range(p) for count in (room, room, size)]
-        self._indices = [np.empty(room, np.int32) for _ in range(2 * p)]
-        self.lower = (Lower * p)()
-        for f, one in enumerate(self.lower):
+        """Room for L and U of each frequency."""
+        size, room = self.structure.size, self._room
+        self.lower = (Lower * self.c.frequencies)()
+        self._factors: list[np.ndarray] = []  # that C writes
+        for one in self.lower:
+            numbers = [np.empty(2 * count) for count in (room, room, size)]
+            rows = [np.empty(room, np.int32) for _ in range(2)]
+            self._factors += numbers + rows
+            one.L, one.U, one.pivot = map(address_of, numbers)
+            one.L_row, one.U_row = map(address_of, rows)
             one.L_start, one.U_start = (self._integers(size + 1, np.int64) for _ in range(2))
             one.place = self._integers(size, np.int32)
-            one.L_row, one.U_row = (address_of(x) for x in self._indices[2 * f : 2 * f + 2])
-            one.L, one.U, one.pivot = (address_of(x) for x in self._numbers[3 * f : 3 * f + 3])
         self.c.room, self.c.lower = room, ctypes.addressof(self.lower)
 
     def of_tangents(self) -> dict[str, int | None]:

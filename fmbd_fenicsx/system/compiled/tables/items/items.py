@@ -110,7 +110,7 @@ class Items:
             return None if x is None else np.asarray(x)[which]
 
         made = Items(
-            self.kind, self.role, self.markers[which], {n: x[which] for n, x in self.constants.items()},
+            self.kind, self.role, self.markers[which], {name: x[which] for name, x in self.constants.items()},
             some(self.row), some(self.factor), some(self.stiffness), some(self.damping), some(self.free), some(self.effort),
             *self._laws(which),
         )  # fmt: skip
