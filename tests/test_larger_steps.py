@@ -16,7 +16,8 @@ from fmbd_fenicsx.errors import ConvergenceError
 from fmbd_fenicsx.materials import linear_elastic
 from fmbd_fenicsx.run.accuracy import companion_runs, larger_steps
 from fmbd_fenicsx.run.accuracy.equal_steps import compare_steps
-from fmbd_fenicsx.run.accuracy.larger_steps import in_one, two_in_one, with_larger_steps
+from fmbd_fenicsx.run.accuracy.larger_steps import in_one, larger_steps_error, two_in_one, with_larger_steps
+from fmbd_fenicsx.run.accuracy.search.shares import Allowed
 from fmbd_fenicsx.run.built import build
 from fmbd_fenicsx.run.recording.output import Output
 from fmbd_fenicsx.run.schedule import step_schedule
@@ -30,6 +31,17 @@ def made_by(scheme: Any, scene: fmbd.Scene) -> Solved:
     """A run to 1 s with steps of the scheme's own choice, recorded at their ends."""
     schedule = step_schedule(scene, scheme, 1.0, None)
     return run_once(Task(scene, scheme, schedule, Newton(), None, Output(progress=False)), build(scene))
+
+
+def light_rod() -> fmbd.Scene:
+    """A rod that hangs from a ball joint and is pushed sideways."""
+    section = fmbd.RodSection((2e5, 8e4, 8e4, 10.0, 14.0, 14.0), 0.9, (1e-3, 5e-4, 5e-4))
+    rod = fmbd.Rod("rod", [(0, 0, 0), (1.5, 0, 0)], section, elements=2, degree=1)
+    scene = fmbd.Scene("rod", gravity=(0, 0, -9.81), gravity_ramp=0.3)
+    ball = fmbd.spherical("ball", fmbd.ground, rod.surface("start"), center=(0, 0, 0))
+    scene.add(rod, ball, fmbd.force("push", rod.surface("end"), lambda t: (0, 3.0 * t * t, 0)))
+    scene.sensor("end", fmbd.position(rod.surface("end")))
+    return scene
 
 
 @pytest.mark.parametrize("scheme", [fmbd.Radau(2, rtol=1e-6), fmbd.Radau(3, rtol=1e-7), fmbd.HalfExplicit(rtol=1e-6)])
@@ -145,3 +157,36 @@ def test_vibrations_that_larger_steps_leave_out_are_stated() -> None:
     ).sum(1)
     true = float(np.abs(run["speed"][:, 0] - exact).max())
     assert true <= 1e-3 and 0.5 < run.certificate["speed"].total / true < 3.0
+
+
+@pytest.mark.parametrize(
+    ("scheme", "make", "sensor", "orders"),
+    [
+        (fmbd.BDF(rtol=1e-7), geared_chain, "end", (4.3, 4.9)),
+        (fmbd.BDF(3, rtol=1e-6), pendulum, "x", (2.5, 3.0)),
+        (fmbd.BDF(rtol=3e-6), light_rod, "end", (1.8, 2.2)),  # higher ones amplify its vibrations
+    ],
+)
+def test_larger_steps_tell_errors_of_a_scheme_that_changes_its_order_by_the_mean_of_those_taken(
+    scheme: Any, make: Any, sensor: str, orders: tuple[float, float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In compiled code and in Python's: orders of steps that are given are chosen, their sizes not."""
+    solved = made_by(scheme, make())
+    given, problem = solved.compared, solved.problem
+    two = two_in_one(solved)
+    assert two is not None and orders[0] < solved.run.counters["mean order"] < orders[1]
+    told = larger_steps_error(solved, two, Allowed((sensor,), lambda errors: 0.5, 0.9, rough=False)).errors[sensor].size
+
+    at = Output(progress=False, energy=False, times=tuple(given.recorder.times))
+    exact = fmbd.solve(make(), t_end=1.0, scheme=fmbd.Radau(5, rtol=1e-10), output=at)[sensor]
+    assert 0.5 < told / np.abs(given.recorder.series[sensor] - exact).max() < 2.0
+
+    monkeypatch.setattr(MarchingStepper, "stride", lambda self, h: 0.0)
+    alone = with_larger_steps(problem, given, 2)
+    np.testing.assert_allclose(alone.recorder.series[sensor], two.recorder.series[sensor], rtol=0, atol=0.1 * told)
+
+
+def test_few_steps_of_a_scheme_that_changes_its_order_are_not_made_larger() -> None:
+    """They are those of its start, and not of its mean order: three times the error was told."""
+    assert two_in_one(made_by(fmbd.BDF(rtol=1e-5), pendulum())) is None
+    assert two_in_one(made_by(fmbd.BDF(rtol=1e-7), pendulum())) is not None

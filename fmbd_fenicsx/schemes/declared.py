@@ -23,6 +23,7 @@ class Declared:
     ``turn_limit``: angle (rad) by which rows of joints may turn in a step, None for any
     (:mod:`~fmbd_fenicsx.run.judges.turning_rows`).
     ``ends_ahead``: values at the ends of steps are of a higher order than those between them.
+    ``takes_given``: under error control it takes steps of any sizes that it is given.
     ``orders``: of positions, velocities, and accelerations with multipliers, where there are any; None: the scheme's in all.
     ``corrects``: of systems without fields, accelerations and multipliers that are read are of the order of velocities.
     ``forgets``: nothing is left after a few steps of vibrations that these do not resolve.
@@ -43,6 +44,7 @@ class Declared:
     turn_limit: float | None = None
     orders: tuple[int, int, int] | None = None
     ends_ahead: bool = False
+    takes_given: bool = False
     corrects: bool = False
     forgets: bool = False
     finds_memories: bool = False

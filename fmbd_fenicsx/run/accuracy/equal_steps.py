@@ -195,7 +195,7 @@ def doubtful(
 
 
 def compare_steps(
-    expected: Mapping[str, int],
+    expected: Mapping[str, float],
     given: Compared,
     coarser: Sequence[Compared],
     known: Mapping[str, float] | None = None,
@@ -245,7 +245,7 @@ def compare_steps(
 
 
 def of_order(
-    expected: Mapping[str, int], given: Compared, coarser: Compared, share: float, least: float = 0.0
+    expected: Mapping[str, float], given: Compared, coarser: Compared, share: float, least: float = 0.0
 ) -> dict[str, Deviation]:
     """Errors of a run as one with larger steps tells them, by a ``share`` of the expected orders, one at least if need be."""
     ratio = given.steps / coarser.steps

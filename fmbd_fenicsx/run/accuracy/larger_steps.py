@@ -27,20 +27,23 @@ from .search.shares import DOUBTED, Allowed
 
 SUDDEN = 1 / 3  # of the size of the step before: the error of smooth motion does not ask for so much less at once
 MANY = 6 * FEWEST  # steps of which four in one still follow the motion
+MEAN_ORDER = "mean order"  # counter of schemes that change their order
 SLOW = 0.75  # share of the order of the scheme that errors are stated by, where half of it would do
 
 
 def may_be_larger(problem: Problem, given: Compared, counters: Mapping[str, float]) -> bool:
-    """Whether steps that are two of a run's in one tell its error: it is recorded at their ends, which are ahead in order, and no
+    """Whether steps that are two of a run's in one tell its error: its scheme takes them, it is recorded at its own ends, and no
     step is suddenly smaller than the one before, or was refused but for its error (``counters``). What kinks leave is of the
-    order :data:`.MOST_LEFT` at most: beside refused steps nothing above that is taken for granted, and has to be seen.
+    order :data:`.MOST_LEFT` at most: beside refused steps nothing above that is taken for granted, and has to be seen; of a
+    scheme that changes its order none is seen, and a few steps are those of its start.
     """
-    refused = counters.get("rejections", 0.0)
-    unseen = given.steps < MANY and SLOW * problem.scheme.order > MOST_LEFT
-    if refused > counters.get("rejected: error estimate", 0.0) or (refused and unseen):
+    refused, mean = counters.get("rejections", 0.0), counters.get(MEAN_ORDER)
+    few, changes = given.steps < MANY, mean is not None
+    unseen = (few or changes) and SLOW * (mean or problem.scheme.order) > MOST_LEFT
+    if refused > counters.get("rejected: error estimate", 0.0) or (refused and unseen) or (few and changes):
         return False
     output, scene = given.recorder.output, problem.scene
-    at_ends = problem.said.ends_ahead and output.times is None and output.every == 1
+    at_ends = problem.said.takes_given and output.times is None and output.every == 1
     if not at_ends or scene.contacts or scene.limits or seen_by_ends(problem.system):
         return False
     sizes = [np.diff(t) for t in _stretches(given)]
@@ -112,21 +115,25 @@ def larger_steps_error(solved: Solved, two: Compared, allowed: Allowed) -> TimeE
     They tell it where half of the order of the scheme would be enough, or most of it is far too much; stated is what :data:`SLOW`
     of the order has, or order one where larger steps leave out vibrations (:func:`.deviation.unresolved`). Else steps that are
     four in one show the order: see :func:`.compare_steps`. Beside steps that were refused, of smooth motion as of kinks,
-    it has to be that of the scheme.
+    it has to be that of the scheme. A scheme that changes its order has the mean of those taken: what three runs show is chance.
     """
-    problem, given, sensors = solved.problem, solved.compared, allowed.sensors
-    refused, own = bool(solved.run.counters.get("rejections")), given.recorder
+    problem, given, sensors, own = solved.problem, solved.compared, allowed.sensors, solved.compared.recorder
+    refused, mean = bool(solved.run.counters.get("rejections")), solved.run.counters.get(MEAN_ORDER)
     expected = expected_orders(problem.scheme, problem.scene, problem.system)
     apart = between(own, two.recorder, expected)
     quick = {n: 1 for n, x in apart.items() if unresolved(x, Deviation(own.times, own.series[n]))}
+    strays = bool(astray(given, {n: apart[n] for n in sensors}))
 
     def told(share: float) -> dict[str, Deviation]:
-        return of_order(expected, given, two, share) | of_order(quick, given, two, 1.0)
+        most = {n: min(p, mean or p) for n, p in expected.items()}
+        return of_order(most, given, two, share) | of_order(quick, given, two, 1.0)
 
-    slow = TimeError(told(SLOW), dict.fromkeys(expected, float("nan")), two)
+    slow = TimeError(told(SLOW if mean is None else 1.0), dict.fromkeys(expected, float("nan")), two)
+    if mean is not None:
+        return None if strays else slow
     if allowed.share(slow.errors) > DOUBTED * allowed.room:
         return slow
-    if astray(given, {n: apart[n] for n in sensors}):
+    if strays:
         return None
     taken_for_granted = not refused or SLOW * problem.scheme.order <= MOST_LEFT
     if taken_for_granted and allowed.lets(told(0.5)):

@@ -60,7 +60,7 @@ def seen_by_ends(system: System) -> bool:
     return any(f.by_ends for f in system.forces)
 
 
-def resolved(seen: Mapping[str, float], expected: Mapping[str, int], share: float = SEEN) -> bool:
+def resolved(seen: Mapping[str, float], expected: Mapping[str, float], share: float = SEEN) -> bool:
     """Whether all orders that were seen are a share of the expected ones at least."""
     return all(p >= share * expected[name] for name, p in seen.items())
 
@@ -78,7 +78,7 @@ def of_the_scheme(orders: tuple[int, int], seen: float) -> bool:
     return bool(np.isnan(seen) or SEEN * expected <= seen <= highest + TOO_HIGH)
 
 
-def usable_order(p: float, order: int) -> float:
+def usable_order(p: float, order: float) -> float:
     """The order that differences are extrapolated with, from the one that was seen, nan where none was.
 
     Below that of the scheme p is a mixture: slow motion has the order of the scheme, fast motion is off by about its own size
@@ -160,7 +160,7 @@ def _about(x: Array, m: int, at: int, wide: int) -> float:
     return float(np.sqrt((near**2).sum()))
 
 
-def scattered_order(p: float, order: int, before: float | None) -> float:
+def scattered_order(p: float, order: float, before: float | None) -> float:
     """An order with regard to a lower one, of motion that converges, seen before; a regular one stands alone."""
     if before is None or p >= REGULAR * order or not LEAST_ORDER <= before < p:
         return p

@@ -67,6 +67,8 @@ class BDF(OfForm):
         atol: absolute tolerance of coordinates (m, rad or own units); None: from the sizes in the model.
     """
 
+    takes_given: ClassVar[bool] = True
+
     order: int = 5
     form: Form = field(default_factory=GGL)
     rtol: float | None = 1e-6
@@ -142,6 +144,12 @@ class BDFStepper(ImplicitStepper):
         starter = self._starter
         return bool(starter.note()) if starter is not None and starter.state is self.state else super().note()
 
+    @property
+    def counters(self) -> dict[str, float]:
+        """As :meth:`ImplicitStepper.counters`, with the mean order of steps of its own choice."""
+        made = {"mean order": self.orders.taken / self.stats.steps} if self.orders.taken else {}
+        return {**super().counters, **made}
+
     # -- steps --------------------------------------------------------------------------------------------------
     def _controlled(self, limit: float) -> State:
         """A step of at most ``limit`` (s) that passes the error test."""
@@ -150,12 +158,12 @@ class BDFStepper(ImplicitStepper):
         farthest = turn_limit(self.system, s, steps=orders.k + 1)
         self.control.span = max(self.control.span, limit)
         if self.proposed is None:
-            self.proposed = 0.1 * self._first_size(2.0, limit)
+            self.proposed = self.control.proposal(0.1 * self._first_size(2.0, limit), limit)
             newest = self.past[0]
             self.past = [newest, before(self.system, s, min(self.proposed, limit), newest.mult)]
 
         while True:
-            h = self._landing(min(self.proposed, farthest), limit)
+            h = self._landing(min(self.control.proposal(self.proposed, limit), farthest), limit)
             moves(s.t, h, iteration.fault)
             self.solver.near_singular.begin_trial()
             self.norm.update(s, h)
@@ -173,7 +181,7 @@ class BDFStepper(ImplicitStepper):
                     continue  # and with one for each iteration, before the step is made smaller
             else:
                 error, cause = self._error(h, found, orders.k), "error estimate"
-                if error <= 1.0:
+                if self.control.passes(error):
                     break
             self._reject(h, error, cause)
 
@@ -194,6 +202,7 @@ class BDFStepper(ImplicitStepper):
 
     def _next_size(self, h: float, p: Points, error: float) -> float:
         """The size (s) that is proposed after a step of size h; sets the next order."""
+        self.orders.taken += self.orders.k
         if self.control.rejections:
             return self.orders.size_after_refusals(h, error)
         return self.orders.next_size(h, error, lambda order: self._error(h, p, order), len(self.past))
@@ -305,6 +314,7 @@ class BDFStepper(ImplicitStepper):
         super()._take_own(own, made)
         assert own.orders is not None
         self.orders.amplification.uses = int(own.orders.uses)
+        self.orders.taken += int(own.orders.taken)
 
     def _recall(self, kept: Array, factored: float) -> None:
         s = self.state

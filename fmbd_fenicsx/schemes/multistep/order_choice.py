@@ -32,14 +32,16 @@ def within(growth: float) -> float:
 
 
 class OrderChoice(Remembering):
-    """The order ``k``, of at most ``highest``, and for how many steps it was ``held`` with one size."""
+    """The order ``k``, of at most ``highest``, and for how many steps it was ``held`` with one size; ``taken``: the sum of those
+    of all steps.
+    """
 
-    keeps: ClassVar = {**dict.fromkeys(("k", "held"), plain()), "amplification": worker}
+    keeps: ClassVar = {**dict.fromkeys(("k", "held", "taken"), plain()), "amplification": worker}
 
     def __init__(self, solver: StepSolver, highest: int) -> None:
         self.amplification = Amplification(solver)
         self.highest = highest
-        self.k, self.held = 1, 0
+        self.k, self.held, self.taken = 1, 0, 0
 
     def begin(self, k: int) -> None:
         """Without a past."""

@@ -50,6 +50,7 @@ class ExplicitScheme:
     order: ClassVar[int]
     holds = (0, 1)
     ends_ahead = True
+    takes_given = True
 
     def __post_init__(self) -> None:
         check_fields(self)

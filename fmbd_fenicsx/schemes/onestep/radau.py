@@ -67,6 +67,7 @@ class Radau(OfForm):
     rtol: float | None = 1e-6
     atol: float | None = None
     ends_ahead: ClassVar[bool] = True
+    takes_given: ClassVar[bool] = True
     corrects: ClassVar[bool] = True
 
     def __post_init__(self) -> None:

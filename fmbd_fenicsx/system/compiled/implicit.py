@@ -33,7 +33,7 @@ class OrdersOfBDF(ctypes.Structure):
     def lend(self, spans: Mapping[int, Array], uses: int, most: int) -> None:
         """The sizes with which each order amplifies vibrations, (k, 2), s; ``uses``: of these so far, ``most`` of them."""
         self._kept = np.concatenate([np.zeros((0, 2)), *spans.values()])
-        self.spans, self.uses, self.most, count = address_of(self._kept), uses, most, 0
+        self.spans, self.uses, self.most, self.taken, count = address_of(self._kept), uses, most, 0.0, 0
         for order in range(len(self.first)):
             self.first[order] = count
             count += len(spans.get(order, ()))

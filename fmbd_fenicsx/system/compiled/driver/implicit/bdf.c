@@ -9,6 +9,7 @@ typedef struct Orders {
     int highest, first[ORDERS + 2];    /* where the spans of each order begin */
     const double *spans;               /* from, to, of sizes (s) with which an order amplifies vibrations */
     long uses, most;                   /* of these, and after how many Python looks for them anew */
+    double taken;                      /* the orders of all steps that passed, summed */
     double safety, least, shrink, grow; /* of a growth; least error */
     double keep, calm, lower, higher;  /* growths between which nothing changes; what an order less, or more, has to have more */
     double nearest, farthest;          /* frequencies over that of the factors with which these serve on */
@@ -243,6 +244,7 @@ static double choose(System *s, const Implicit *o, double h, const Passing *foun
     Orders *r = o->own->orders;
     const int k = (int)*made->order;
     double growth = grown(r, found->error, k);
+    r->taken += k;
     *made->held += 1.0;
     if (found->refused) {
         h *= fmin(growth, 1.0);
@@ -282,7 +284,7 @@ static int passing_point(System *s, double *p, Implicit *o, const Block *now, Bl
 
         if (verdict) return verdict;
         found->error = point_error(s, o, k, e, room);
-        if (found->error <= 1.0) return DONE;
+        if (lets_pass(c, found)) return DONE;
 
         /* the tangent goes on serving; after several errors a lower order, whose past is shorter */
         work[KNOWN] = 1.0;
@@ -299,7 +301,7 @@ static int own_bdf_step(System *s, double *p, Implicit *o, const Block *now, Blo
     OwnSteps *c = o->own;
     const Memories m = memories_at(o->stages, now->own), made = memories_at(o->stages, out.own);
     const double left = left_for(c, now);
-    Passing found = {.proposed = *m.next};
+    Passing found = {.proposed = proposal(c, *m.next)};
     int verdict;
     if (!(left > 0.0) || *now->t > c->last) return SIZE;
 
