@@ -27,6 +27,7 @@ from .. import dolfinx_compat as compat
 from ..checks import check_fields, number, typed, vector
 from ..errors import CallbackError, InputError, named
 from ..rotations import Array
+from .assembly import NodalVector
 
 Time = Callable[[float], float]
 
@@ -228,14 +229,7 @@ class AppliedLoads:
                 self.moving.append((load, fem.Constant(msh, 0.0)))
 
             self._forms.append(compiled if moving else None)
-            self.vectors.append(None if moving else self._assemble(compiled))
-
-    def _assemble(self, form: Any) -> Array:
-        from dolfinx import fem, la
-
-        b = fem.assemble_vector(form)
-        b.scatter_reverse(la.InsertMode.add)
-        return np.array(b.array[: self.field.n * self.field.dim]).reshape(-1, self.field.dim)
+            self.vectors.append(None if moving else NodalVector(compiled).assembled().reshape(-1, field.dim))
 
     def moving_form(self, u: Any, v: Any) -> Any:
         """UFL form of all loads on the deformed body, L(u; v) times the factors of :meth:`at`; 0 without such loads."""

@@ -90,7 +90,8 @@ class MixedField(Field):
 
             force = ufl.derivative(energy, self._w, v)
             balance = ufl.derivative(energy, self._p, q)
-            self._energy_form, self._balance_form = (compat.form(x) for x in (energy, balance))
+            self._energy_form, self.balance_form = (compat.form(x) for x in (energy, balance))
+            self._balance_rows = NodalVector(self.balance_form)
             self._residual = NodalVector(compat.form(force))
             self.stiffness_form = compat.form(ufl.derivative(force, self._w, u))
             self._coupling_form = compat.form(ufl.derivative(balance, self._w, u))
@@ -169,20 +170,11 @@ class MixedField(Field):
 
     def _take_pressure_of_law(self) -> None:
         """The pressure that belongs to the displacements that are placed: C p = b, the balance at p = 0."""
-        from dolfinx import fem, la
-
         self._p.x.array[:] = 0.0
-        b = fem.assemble_vector(self._balance_form)
-        b.scatter_reverse(la.InsertMode.add)
-        self._pb.array[:] = b.array[: self.n_pressure]
+        self._pb.array[:] = self._balance_rows.assembled()
         self._solve_p.solve(self._pb, self._px)
         self._p.x.array[: self.n_pressure] = self._px.array
         self._p.x.scatter_forward()
-
-    @property
-    def balance_form(self) -> Any:
-        """The compiled form of dPi/dp."""
-        return self._balance_form
 
     @property
     def pressure_argument(self) -> Any:
@@ -192,12 +184,8 @@ class MixedField(Field):
     # -- a pressure that is an unknown --------------------------------------------------------------------------
     def volume_gap(self, U: Array) -> Array:
         """r of (2) at displacements U (n d,), int q (J - 1) for a body that keeps its volume; collective."""
-        from dolfinx import fem, la
-
         self.place(U)
-        b = fem.assemble_vector(self._balance_form)
-        b.scatter_reverse(la.InsertMode.add)
-        gap = b.array[: self.n_pressure].copy()
+        gap = self._balance_rows.assembled()
         if self._energy.incompressible:
             self._px.array[:] = self._p.x.array[: self.n_pressure]
             self._C.mult(self._px, self._pb)
@@ -224,28 +212,24 @@ class MixedField(Field):
         return np.array(self._pb.array)
 
     @cached_property
-    def _bias_form(self) -> tuple[Any, Any, Any]:
-        """Second rate of the volume, compiled, and the functions that hold velocity and acceleration."""
+    def _bias(self) -> tuple[NodalVector, Any, Any]:
+        """Second rate of the volume, and the functions that hold velocity and acceleration."""
         import ufl
         from dolfinx import fem
 
         V, A = fem.Function(self.space), fem.Function(self.space)
         first = ufl.derivative(self._balance, self._w, V)
         second = ufl.derivative(first, self._w, V) + ufl.derivative(self._balance, self._w, A)
-        return compat.form(second), V, A
+        return NodalVector(compat.form(second)), V, A
 
     def volume_bias(self, U: Array, V: Array, A: Array | None = None) -> Array:
         """B a + d/dt(B) v at displacements U, velocities V, accelerations A (n d,), None: zero; collective."""
-        from dolfinx import fem, la
-
-        form, *functions = self._bias_form
+        bias, *functions = self._bias
         super().place(U)
         for function, values in zip(functions, (V, np.zeros_like(V) if A is None else A), strict=True):
             function.x.array[: len(V)] = values
             function.x.scatter_forward()
-        b = fem.assemble_vector(form)
-        b.scatter_reverse(la.InsertMode.add)
-        return np.array(b.array[: self.n_pressure])
+        return bias.assembled()
 
     def coupling_matrix(self) -> Any:
         """B where the field is linearised; the caller destroys it."""

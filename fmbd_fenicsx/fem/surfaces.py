@@ -15,6 +15,7 @@ import numpy as np
 
 from .. import dolfinx_compat as compat
 from ..rotations import Array
+from .assembly import NodalVector
 
 
 class Moments:
@@ -26,7 +27,7 @@ class Moments:
 
     def __init__(self, space: Any, mesh: Any, surface: str, origin: Array, n_owned: int) -> None:
         d, comm = mesh.dim, mesh.dolfinx.comm
-        weights = Weighted(space, mesh, surface, n_owned)
+        weights = Weighted(space, mesh, surface)
         axes: list[Array] = list(np.eye(d))
 
         # the functions phi_i add up to one
@@ -51,25 +52,21 @@ class Weighted:
     Collective.
     """
 
-    def __init__(self, space: Any, mesh: Any, surface: str, n_owned: int) -> None:
+    def __init__(self, space: Any, mesh: Any, surface: str) -> None:
         import ufl
         from dolfinx import fem
 
-        msh, self.n_owned = mesh.dolfinx, n_owned
+        msh = mesh.dolfinx
         ds = ufl.Measure("ds", domain=msh, subdomain_data=mesh.facet_tags)(mesh.surface_tag(surface))
 
         self.a, self.b = fem.Constant(msh, 0.0), fem.Constant(msh, np.zeros(mesh.dim))
         f = self.a + ufl.dot(self.b, ufl.SpatialCoordinate(msh))
-        self.form = compat.form(f * ufl.TestFunction(space) * ds)
+        self.integrals = NodalVector(compat.form(f * ufl.TestFunction(space) * ds))
 
     def __call__(self, a: float, b: Array) -> Array:
-        """The integrals, (n_owned,)."""
-        from dolfinx import fem, la
-
+        """The integrals, of each node that this rank owns."""
         self.a.value, self.b.value[:] = a, b
-        vector = fem.assemble_vector(self.form)
-        vector.scatter_reverse(la.InsertMode.add)
-        return np.array(vector.array[: self.n_owned])
+        return self.integrals.assembled()
 
 
 def _total(comm: Any, x: Array) -> float:

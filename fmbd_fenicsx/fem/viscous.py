@@ -14,6 +14,7 @@ from .. import dolfinx_compat as compat
 from ..energies import ViscousForm
 from ..errors import InputError
 from ..rotations import Array
+from .assembly import NodalVector
 
 
 def symmetric(a: Any) -> Any:
@@ -25,7 +26,7 @@ def symmetric(a: Any) -> Any:
 
 class Viscous:
     """Damping of one field; collective to build. ``matrix``: D, or None; ``form``: its compiled form; ``law``: the UFL form
-    of a :class:`.ViscousForm` at (field.argument, rate), or None, and ``residual_form`` what is compiled of it.
+    of a :class:`.ViscousForm` at (field.argument, rate), or None, and ``residual`` what is compiled of it.
     """
 
     def __init__(self, field: Any, viscous: Any) -> None:
@@ -47,7 +48,7 @@ class Viscous:
                 self._linearised: Array = np.zeros(field.n * field.dim)
                 self.law = viscous(field.argument, self.rate, v, dx)
                 # the force is the law's own; Newton's matrix its symmetric part
-                self.residual_form = compat.form(self.law)
+                self.residual = NodalVector(compat.form(self.law))
                 self.form = compat.form(symmetric(ufl.derivative(self.law, self.rate, u)))
             else:
                 self.form = compat.form(viscous(u, v, dx))
@@ -87,12 +88,8 @@ class Viscous:
         """Nodal forces (n d,) at displacements U and rates (n d,); collective."""
         if self.law is None:
             return np.asarray(self.field.damping(rate))
-        from dolfinx import fem, la
-
         argument = self.field.argument
         argument.x.array[: len(U)] = U
         argument.x.scatter_forward()
         self._place(rate)
-        b = fem.assemble_vector(self.residual_form)
-        b.scatter_reverse(la.InsertMode.add)
-        return np.array(b.array[: len(U)])
+        return self.residual.assembled()

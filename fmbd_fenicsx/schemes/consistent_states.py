@@ -9,7 +9,7 @@ import numpy as np
 
 from ..linear.blocks.field_blocks import Weights
 from ..linear.condensation import StepSolver
-from ..system.layout import States
+from ..system.layout import State, States
 from ..system.system import System
 from .consistent import accelerations, corrected, project
 
@@ -26,41 +26,44 @@ def accelerated(system: System, states: States, solver: StepSolver) -> States:
 
 def all_corrected(system: System, states: States, solver: StepSolver, metrics: Sequence[Weights]) -> States:
     """States with a and lambda as :func:`.consistent.corrected` has them, each in a metric of its own; collective."""
-    apart = _by_metrics(system, states, metrics, lambda some, own: all_corrected(system, some, solver, own))
-    if apart is not None:
-        return apart
-    driver = solver.driver
-    found = None if driver is None else driver.all_corrected(states, metrics)
-    if found is not None:
-        return replace(states, a=found[0], lam=found[1])
-    return States.of([corrected(system, s, solver, metric) for s, metric in zip(states.each(), metrics, strict=True)])
+
+    def together(some: States, own: Sequence[Weights]) -> States | None:
+        found = None if solver.driver is None else solver.driver.all_corrected(some, own)
+        return None if found is None else replace(some, a=found[0], lam=found[1])
+
+    return _by_metrics(system, states, metrics, together, lambda s, metric: corrected(system, s, solver, metric))
 
 
 def projected(system: System, states: States, solver: StepSolver, metrics: Sequence[Weights]) -> States:
     """States with q, then v, moved on the constraints, each in a metric of its own; a and lambda kept; collective."""
-    apart = _by_metrics(system, states, metrics, lambda some, own: projected(system, some, solver, own))
-    if apart is not None:
-        return apart
-    driver = solver.driver
-    found = None if driver is None else driver.all_closed(states, metrics)
-    if found is not None:
-        return replace(states, q=found[0], v=found[1])
-    return States.of([project(system, s, solver, metric) for s, metric in zip(states.each(), metrics, strict=True)])
+
+    def together(some: States, own: Sequence[Weights]) -> States | None:
+        found = None if solver.driver is None else solver.driver.all_closed(some, own)
+        return None if found is None else replace(some, q=found[0], v=found[1])
+
+    return _by_metrics(system, states, metrics, together, lambda s, metric: project(system, s, solver, metric))
 
 
 def _by_metrics(
-    system: System, states: States, metrics: Sequence[Weights], made: Callable[[States, list[Weights]], States]
-) -> States | None:
-    """What is ``made`` of states, of one metric after the other, as factors of fields are those of one; None without fields, and
-    where all states have the same metric.
+    system: System,
+    states: States,
+    metrics: Sequence[Weights],
+    together: Callable[[States, Sequence[Weights]], States | None],
+    alone: Callable[[State, Weights], State],
+) -> States:
+    """What is made of states ``together`` where that can be, else of each ``alone``; with fields of one metric after the other,
+    as their factors are those of one.
     """
     different = dict.fromkeys(metrics)
     if not system.fields or len(different) < 2:
-        return None
+        made = together(states, metrics)
+        return States.of(list(map(alone, states.each(), metrics))) if made is None else made
+
     every = replace(states, q=states.q.copy(), v=states.v.copy(), a=states.a.copy(), lam=states.lam.copy())
     for metric in different:
         which = np.array([x == metric for x in metrics])
-        every.put(which, made(states.chosen(which), [metric] * int(which.sum())))
+        of_one = [metric] * int(which.sum())
+        every.put(which, _by_metrics(system, states.chosen(which), of_one, together, alone))
     return every
 
 

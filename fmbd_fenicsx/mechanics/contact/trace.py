@@ -23,6 +23,7 @@ import scipy.sparse as sp
 
 from ... import dolfinx_compat as compat
 from ...errors import MeshError
+from ...fem.assembly import NodalVector
 from ...fem.mesh.mesh import cells_of
 from ...fem.numbering import Numbering
 from ...rotations import Array
@@ -195,7 +196,7 @@ def _facet_dofs(nodes: BodyNodes, surface: str) -> tuple[np.ndarray, dict[int, f
     ranks.
     """
     import ufl
-    from dolfinx import fem, la
+    from dolfinx import fem
 
     mesh, space = nodes.mesh, nodes.space
     msh = mesh.dolfinx
@@ -217,14 +218,13 @@ def _facet_dofs(nodes: BodyNodes, surface: str) -> tuple[np.ndarray, dict[int, f
     # int phi_i over the surface
     scalar = fem.functionspace(msh, ("Lagrange", nodes.degree))
     ds = ufl.Measure("ds", domain=msh, subdomain_data=mesh.facet_tags)(mesh.surface_tag(surface))
-    b = fem.assemble_vector(compat.form(ufl.TestFunction(scalar) * ds))
-    b.scatter_reverse(la.InsertMode.add)
+    of_nodes = NodalVector(compat.form(ufl.TestFunction(scalar) * ds)).assembled()
 
     low, high = index_map.local_range
     mine = np.unique(facets)
     mine = mine[(mine >= low) & (mine < high)]
     weights = {
-        int(g): float(w) for part in comm.allgather(list(zip(mine, b.array[mine - low], strict=True))) for g, w in part
+        int(g): float(w) for part in comm.allgather(list(zip(mine, of_nodes[mine - low], strict=True))) for g, w in part
     }
     return facets, weights
 

@@ -92,6 +92,7 @@ class AlphaStepper(TimeStepper):
         self, scheme: GeneralizedAlpha, system: System, solver: StepSolver, newton: Newton, state: State
     ) -> None:
         self.scheme, self.system, self.solver, self.newton = scheme, system, solver, newton
+        self.stabilised = isinstance(scheme.form, GGL)  # velocities are rows, too
         self.counters = {}
         pushes = system.parts or system.elements or system.forces
         if not pushes:
@@ -155,7 +156,7 @@ class AlphaStepper(TimeStepper):
             self.solver.elastic.keep(1)  # the matrix of the steps that come
 
         v = s.v
-        if (system.n_lam or volume) and not isinstance(self.scheme.form, GGL):
+        if (system.n_lam or volume) and not self.stabilised:
             c = rule.miss
             miss = h * h * (c * rate + spin_of_acceleration(system, s.v, s.a) / 12)
             push = volume_push(self.solver, {k: h * h * c * x for k, x in volume.items()})
@@ -241,7 +242,7 @@ class AlphaStepper(TimeStepper):
 
     def _step(self, rule: Rule, start: StepStart, patience: int) -> State:
         """The step by Newton's iteration, accepted."""
-        return self._accept(self._solved(rule, start, patience, stabilised=isinstance(self.scheme.form, GGL)))
+        return self._accept(self._solved(rule, start, patience, stabilised=self.stabilised))
 
     def _solved(self, rule: Rule, start: StepStart, patience: int, *, stabilised: bool) -> AlphaStep:
         """The step by Newton's iteration, its first ``patience`` iterations with one tangent."""
@@ -336,7 +337,7 @@ class AlphaStepper(TimeStepper):
         """The newest state, h^2 (beta - 1/6), the jump of A, and how long velocities open constraints (s), 0 where they hold."""
         assert self.begun is not None
         scale = h * h * (self.scheme.parameters[3] - 1.0 / 6.0)
-        return self.state, scale, self.A - self.begun[2], 0.0 if isinstance(self.scheme.form, GGL) else 0.5 * h
+        return self.state, scale, self.A - self.begun[2], 0.0 if self.stabilised else 0.5 * h
 
     def between(self, t: float) -> State | None:
         """The state at a time t (s) within the last step; None before the first one."""
@@ -356,7 +357,7 @@ class AlphaStepper(TimeStepper):
 
         # by how much velocities exceed the derivatives of places; not in the stabilised form
         miss = np.zeros_like(jump)
-        if not isinstance(self.scheme.form, GGL):
+        if not self.stabilised:
             miss = h * h * (rule.miss * jump / h + spin_of_acceleration(system, before.v, before.a) / 12)
         q = place_within(system, before, after, t, (before.v - miss, after.v - miss))
 

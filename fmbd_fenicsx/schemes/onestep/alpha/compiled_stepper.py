@@ -15,7 +15,6 @@ from ....system.compiled import march as slots
 from ....system.compiled.declarations import constants
 from ....system.compiled.tape import on_the_way
 from ....system.layout import State, States
-from ...dae import GGL
 from ...marching import COMPILED, CompiledSteps, lend_energies, lend_newton, take_energies
 from ...stepping import UNOBSERVED, Observers
 from .alpha_driver import AlphaDriver
@@ -56,7 +55,7 @@ class CompiledAlphaStepper(CompiledSteps, AlphaStepper):
         lend_newton(driver.parameters, driver.system, self.newton)
         driver.parameters[slots.FAR] = FAR * self.system.length
         driver.parameters[slots.PATIENCE] = PATIENCE
-        driver.parameters[slots.STABILISED] = isinstance(self.scheme.form, GGL)
+        driver.parameters[slots.STABILISED] = self.stabilised
 
     def begin_anew(self, start: Callable[[], State]) -> bool:
         """As :meth:`TimeStepper.begin_anew`; the driver's tables serve the start too, where they are those of evaluations."""

@@ -8,7 +8,6 @@ from dataclasses import replace
 from typing import Any, ClassVar
 
 from ....system.serialisation import Remembering, plain, worker
-from ...dae import GGL
 from .size_change import SizeChange
 
 
@@ -22,8 +21,7 @@ class ResizedSteps(Remembering):
     def __init__(self, inner: Any, change: SizeChange) -> None:
         self.inner, self.change = inner, change
         self.size: float | None = None
-        system, form = change.system, inner.scheme.form
-        self._misses = bool(system.n_lam) and not isinstance(form, GGL)  # whether velocities miss their constraints
+        self._misses = bool(change.system.n_lam) and not inner.stabilised  # whether velocities miss their constraints
 
     def step(self, h: float) -> None:
         """One step of size h (s)."""

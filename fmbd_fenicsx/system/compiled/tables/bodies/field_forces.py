@@ -119,7 +119,7 @@ def _formed(part: Any) -> Formed | None:
     if field.loads.moving and not isinstance(part, RestingField):
         return None
     law = field.viscous.law is not None
-    forms = [(None, field.residual_form)] + ([(None, field.viscous.residual_form)] if law else [])
+    forms = [(None, field.residual_form)] + ([(None, field.viscous.residual.form)] if law else [])
     forms += [(load, form) for load, form in field.loads.moving_forms]
     return _known(forms, [field.argument, field.viscous.rate if law else None, field.pressure_argument])
 
