@@ -66,7 +66,7 @@ def tip(field: Any, angle: float, force: float = F) -> Any:
 
     held = np.flatnonzero(np.abs(field.X_world[:, 0]) < 1e-9)
     held = (held[:, None] * 3 + np.arange(3)).ravel().astype(np.int32)
-    y, z = (force * b.ravel() for b in field.loads.vectors)
+    y, z = (force * b.ravel() for _, b in field.loads.fixed)
     load = np.cos(np.radians(angle)) * y + np.sin(np.radians(angle)) * z
     U = np.zeros(field.n * 3)
     for share in np.linspace(0.2, 1.0, 5):

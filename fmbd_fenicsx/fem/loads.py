@@ -192,7 +192,11 @@ def _constant(value: Any, dx: Any) -> Any:
 
 
 class AppliedLoads:
-    """The loads of one field: nodal vectors (n, d) of those that are constant, forms of the others; collective to build."""
+    """The loads of one field; collective to build.
+
+    ``fixed``: those whose forms do not change, with their nodal vectors (n, d). ``moving``: those on the deformed body, with
+    their present factors and forms.
+    """
 
     def __init__(self, field: Any, loads: Sequence[Load]) -> None:
         import ufl
@@ -208,9 +212,8 @@ class AppliedLoads:
         self._measures = field.mesh.dx, ds
 
         v = ufl.TestFunction(field.space)
-        self.vectors: list[Array | None] = []
-        self._forms: list[Any] = []
-        self.moving: list[tuple[Load, Any]] = []  # loads on the deformed body, with their present factors
+        self.fixed: list[tuple[Load, Array]] = []
+        self.moving: list[tuple[Load, Any, NodalVector]] = []
         for load in self.loads:
             # a load that follows a nonlinear body is a form on it; others are vectors once and for all
             moving = load.deformed is not None and field.nonlinear
@@ -218,7 +221,7 @@ class AppliedLoads:
                 form = load.deformed(field.argument, v, *self._measures) if moving else load.form(v, *self._measures)  # type: ignore[misc]
                 if not isinstance(form, ufl.Form) or len(form.arguments()) != 1:
                     raise TypeError(f"found {form!r:.80}; integrate over dx or ds, once linear in v")
-                compiled = compat.form(form)
+                rows = NodalVector(compat.form(form))
             except InputError:
                 raise
             except Exception as error:
@@ -226,27 +229,21 @@ class AppliedLoads:
                     f'A load on body "{field.name}" is not a linear UFL form in v: {type(error).__name__}: {error}'
                 ) from error
             if moving:
-                self.moving.append((load, fem.Constant(msh, 0.0)))
-
-            self._forms.append(compiled if moving else None)
-            self.vectors.append(None if moving else NodalVector(compiled).assembled().reshape(-1, field.dim))
+                self.moving.append((load, fem.Constant(msh, 0.0), rows))
+            else:
+                self.fixed.append((load, rows.assembled().reshape(-1, field.dim)))
 
     def moving_form(self, u: Any, v: Any) -> Any:
         """UFL form of all loads on the deformed body, L(u; v) times the factors of :meth:`at`; 0 without such loads."""
-        return sum(factor * self.form_of(load)(u, v) for load, factor in self.moving)
+        return sum(factor * self.form_of(load)(u, v) for load, factor, _ in self.moving)
 
     def form_of(self, load: Load) -> Callable[[Any, Any], Any]:
         """L(u; v) of a load on the deformed body, UFL."""
         return lambda u, v: load.deformed(u, v, *self._measures)  # type: ignore[misc]
 
-    @property
-    def moving_forms(self) -> list[tuple[Load, Any]]:
-        """Loads on the deformed body with their compiled forms, without factors."""
-        return [(load, form) for load, form in zip(self.loads, self._forms, strict=True) if form is not None]
-
     def at(self, t: float) -> None:
         """Set the factors of :meth:`moving_form` to those at time t."""
-        for load, factor in self.moving:
+        for load, factor, _ in self.moving:
             factor.value = load.factor(t, self.field.name)
 
     def constant(self, t: float, R: Array) -> tuple[Array, Array]:
@@ -254,9 +251,7 @@ class AppliedLoads:
         the frame too, and the internal ones.
         """
         outer, inner = np.zeros((2, self.field.n, self.field.dim))
-        for load, b in zip(self.loads, self.vectors, strict=True):
-            if b is None:
-                continue
+        for load, b in self.fixed:
             factor = load.factor(t, self.field.name)
             if load.internal:
                 inner += factor * b
@@ -272,7 +267,6 @@ class AppliedLoads:
             argument = self.field.argument
             argument.x.array[: len(U)] = U
             argument.x.scatter_forward()
-        for load, form in zip(self.loads, self._forms, strict=True):
-            if form is not None:
-                outer += load.factor(t, self.field.name) * self._assemble(form)
+        for load, _, rows in self.moving:
+            outer += load.factor(t, self.field.name) * rows.assembled().reshape(-1, self.field.dim)
         return outer, inner

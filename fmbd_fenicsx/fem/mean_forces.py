@@ -103,7 +103,7 @@ class MeanForces:
         import ufl
 
         v, loads = ufl.TestFunction(self.field.space), self.field.loads
-        made = [(load, self._on_the_way(loads.form_of(load), v)) for load, _ in loads.moving]
+        made = [(load, self._on_the_way(loads.form_of(load), v)) for load, _, _ in loads.moving]
         return [(load, compat.form(form)) for load, form in [(None, self._material(self.rate, v)), *made]]
 
     def _elastic(self, mean: Any, v: Any) -> Any:

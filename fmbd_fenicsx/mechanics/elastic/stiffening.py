@@ -31,7 +31,6 @@ import numpy as np
 
 from ... import dolfinx_compat as compat
 from ...fem.fields import Field
-from ...fem.loads import Load
 from ...rotations import Array
 from ..frames import polar
 from .foreshortening import Shortening, rigid_ports
@@ -116,9 +115,7 @@ class Stiffening:
         ]
         self.columns = static([-field.mass(X) for X in inertia])  # (n d, d + d^2): u_0 for unit a_c and unit L_ij
 
-        self.loads: list[tuple[Load, Any]] = [
-            (f, b) for f, b in zip(field.loads.loads, field.loads.vectors, strict=True) if not f.internal
-        ]
+        self.loads = [(load, b) for load, b in field.loads.fixed if not load.internal]
         self.load_columns = [static([np.outer(b[:, i], np.eye(d)[j]) for i, j in pairs]) for _, b in self.loads]
         self.section_columns = {s: static(resultant_columns(field, s).T) for s in surfaces}
         body.destroy()

@@ -129,8 +129,7 @@ def _inertia_patterns(field: Field) -> list[Array]:
 def _load_patterns(field: Field) -> list[Array]:
     """Nodal forces (n d,) whose sums are the body's loads in its axes: a dead load turns in them, its components mix."""
     found: list[Array] = []
-    for load, b in zip(field.loads.loads, field.loads.vectors, strict=True):
-        assert b is not None  # a reduced body is linear
+    for load, b in field.loads.fixed:
         axes = np.eye(field.dim)
         turned = [b] if load.follower or load.internal else [np.outer(c, e) for c in b.T for e in axes]
         found += [x.ravel() for x in turned if field.total(np.array(np.abs(x).sum())) > 0]
@@ -301,8 +300,7 @@ class Reduction:
 def _loads(f: Field, Z: Array) -> tuple[tuple[tuple[Any, Array], ...], dict[Any, Array]]:
     """Loads with sum_n b_n Z_a,n^T (m + 1, d, d), and their sums over the nodes (d,)."""
     tensors, sums = [], {}
-    for load, b in zip(f.loads.loads, f.loads.vectors, strict=True):
-        assert b is not None  # a reduced body is linear
+    for load, b in f.loads.fixed:
         tensors.append((load, np.asarray(f.total(np.einsum("ni,nja->aij", b, Z)))))
         sums[load] = np.asarray(f.total(b.sum(0)))
     return tuple(tensors), sums

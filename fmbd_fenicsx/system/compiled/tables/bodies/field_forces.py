@@ -94,10 +94,9 @@ class FieldForces:
         for values in self.loads:
             values[:] = 0.0
         dead, following, internal = self.loads
-        for load, b in zip(loads.loads, loads.vectors, strict=True):
-            if b is not None:
-                into = internal if load.internal else following if load.follower else dead
-                into += load.factor(t, name) * b.ravel()
+        for load, b in loads.fixed:
+            into = internal if load.internal else following if load.follower else dead
+            into += load.factor(t, name) * b.ravel()
         for load, factor in self.factors:
             factor[0] = -load.factor(t, name)
 
@@ -120,7 +119,7 @@ def _formed(part: Any) -> Formed | None:
         return None
     law = field.viscous.law is not None
     forms = [(None, field.residual_form)] + ([(None, field.viscous.residual.form)] if law else [])
-    forms += [(load, form) for load, form in field.loads.moving_forms]
+    forms += [(load, rows.form) for load, _, rows in field.loads.moving]
     return _known(forms, [field.argument, field.viscous.rate if law else None, field.pressure_argument])
 
 
