@@ -73,38 +73,54 @@ class _Trace:
         require(hasattr(run, "series"), f"study: the function must return a run of fmbd.solve, found {shown(run)}.")
         return cls(np.asarray(run.times), dict(run.series), run)
 
+    def has(self, times: Array) -> Array:
+        """Which instants are recorded, to 1e-9 of the end time."""
+        return np.abs(self.times[self._rows(times)] - times) <= 1e-9 * self.times[-1]
 
-def _rows(times: Array, wanted: Array) -> Array:
-    """Row of each wanted time."""
-    return np.array([int(np.argmin(np.abs(times - t))) for t in wanted])
+    def values(self, name: str, times: Array) -> Array:
+        """A sensor at recorded instants."""
+        return self.series[name][self._rows(times)]
+
+    def _rows(self, times: Array) -> np.ndarray:
+        """The nearest to each."""
+        return np.array([np.argmin(np.abs(self.times - t)) for t in times], dtype=int)
 
 
-def _common_times(traces: Sequence[_Trace]) -> Array:
-    """Instants that all runs have recorded (to 1e-9 of the end time), the start left out."""
+@dataclass(frozen=True)
+class _Functions:
+    """Exact functions of time in the place of a run."""
+
+    series: Exact
+    run: None = None
+
+    def has(self, times: Array) -> Array:
+        """All of them."""
+        return np.ones(len(times), dtype=bool)
+
+    def values(self, name: str, times: Array) -> Array:
+        """A sensor at any instants."""
+        return np.array([np.atleast_1d(self.series[name](float(t))) for t in times])
+
+
+def _common_times(traces: Sequence[_Trace], reference: _Trace | _Functions) -> Array:
+    """Instants that all runs have recorded, and the reference knows, the start left out."""
     common = traces[0].times[1:]
-    for trace in traces[1:]:
-        if len(common):
-            gap = np.abs(trace.times[_rows(trace.times, common)] - common)
-            common = common[gap <= 1e-9 * trace.times[-1]]
+    for other in (*traces[1:], reference):
+        common = common[other.has(common)]
     require(len(common) > 0, "The runs of this study have no instant in common at which they could be compared.")
     return common
 
 
-def _errors(trace: _Trace, reference: _Trace | Exact, times: Array, names: Sequence[str]) -> dict[str, float]:
+def _errors(trace: _Trace, reference: _Trace | _Functions, times: Array, names: Sequence[str]) -> dict[str, float]:
     """Largest absolute error of each named quantity over the given instants (of the state: at the end);
     collective.
     """
     found = {}
     for name in names:
         if name in trace.series:
-            x = trace.series[name][_rows(trace.times, times)]
-            if isinstance(reference, _Trace):
-                y = reference.series[name][_rows(reference.times, times)]
-            else:
-                y = np.array([np.atleast_1d(reference[name](float(t))) for t in times])
-            found[name] = float(np.abs(x - y).max())
+            found[name] = float(np.abs(trace.values(name, times) - reference.values(name, times)).max())
         else:
-            assert isinstance(reference, _Trace)
+            assert reference.run is not None
             found[name] = _state_error(trace.run, reference.run, name)
     return found
 
@@ -116,13 +132,13 @@ def _state_error(run: Run, reference: Run, name: str) -> float:
     return s.max_abs(s.difference(y.q, x.q) if name == "q" else x.v - y.v)
 
 
-def _names(traces: Sequence[_Trace], reference: _Trace | Exact, wanted: Sequence[str] | None) -> list[str]:
+def _names(traces: Sequence[_Trace], reference: _Trace | _Functions, wanted: Sequence[str] | None) -> list[str]:
     """Quantities to compare: those asked for, else all that runs and reference share."""
-    shared = [n for n in traces[0].series if n in (reference.series if isinstance(reference, _Trace) else reference)]
-    if isinstance(reference, _Trace):
-        sizes = {(t.run.system.n_q, t.run.system.n_lam) for t in [*traces, reference]}
-        if len(sizes) == 1:
-            shared += [n for n in STATE if n not in shared]
+    shared = [name for name in traces[0].series if name in reference.series]
+    if reference.run is not None:
+        systems = [run.system for run in (reference.run, *(trace.run for trace in traces))]
+        if len({(system.n_q, system.n_lam) for system in systems}) == 1:
+            shared += [name for name in STATE if name not in shared]
     if not traces[0].run.system.n_lam and "lam" in shared:
         shared.remove("lam")
     for name in wanted or ():
@@ -167,13 +183,12 @@ class OrderTable(Table):
 
     def rows(self) -> list[list[str]]:
         """Cells of the table, the header first, the order over the finest three last."""
-        names = list(self.errors)
-        table = [[self.parameter, *(c for n in names for c in (n, "order"))]]
-        slopes = {n: self.pairwise(n) for n in names}
-        for k, h in enumerate(self.values):
-            cells = [(f"{self.errors[n][k]:.2e}", f"{slopes[n][k - 1]:.2f}" if k else "") for n in names]
-            table.append([f"{h:.4g}", *(c for pair in cells for c in pair)])
-        table.append(["finest three", *(c for n in names for c in ("", f"{self.order(n):.2f}"))])
+        table = [[self.parameter], *[[f"{h:.4g}"] for h in self.values], ["finest three"]]
+        for name, errors in self.errors.items():
+            cells = [name, *(f"{e:.2e}" for e in errors), ""]
+            orders = ["order", "", *(f"{p:.2f}" for p in self.pairwise(name)), f"{self.order(name):.2f}"]
+            for line, *pair in zip(table, cells, orders, strict=True):
+                line += pair
         return table
 
     def __repr__(self) -> str:
@@ -214,10 +229,10 @@ def orders(
     _refuse_chosen_steps([trace.run for trace in traces])
 
     against = _reference(run(values[-1] / 8) if reference is None else reference)
-    times = _common_times([*traces, against] if isinstance(against, _Trace) else traces)
+    times = _common_times(traces, against)
     kept = _names(traces, against, names)
 
-    found = [_errors(t, against, times, kept) for t in traces]
+    found = [_errors(trace, against, times, kept) for trace in traces]
     return OrderTable(parameter, np.asarray(values, dtype=float), {n: np.array([e[n] for e in found]) for n in kept})
 
 
@@ -233,8 +248,8 @@ def _refuse_chosen_steps(runs: Sequence[Run]) -> None:
         )
 
 
-def _reference(given: Run | Exact) -> _Trace | Exact:
-    return given if isinstance(given, Mapping) else _Trace.of(given)
+def _reference(given: Run | Exact) -> _Trace | _Functions:
+    return _Functions(given) if isinstance(given, Mapping) else _Trace.of(given)
 
 
 @dataclass(frozen=True)
@@ -353,7 +368,7 @@ def work_precision(
     times: Array = np.zeros(0)
     kept: list[str] = []
     if traces:
-        times = _common_times([*traces, against] if isinstance(against, _Trace) else traces)
+        times = _common_times(traces, against)
         kept = _names(traces, against, names)
 
     points = []
