@@ -43,20 +43,11 @@ def check_contacts(scene: Any) -> None:
 
 def contact_surfaces(scene: Any, body: Any) -> list[str]:
     """Names of the surfaces of a body that take part in contacts, or that a joint with limits holds."""
-    found: list[str] = []
-    for limit in scene.limits.values():
-        joint = limit.coordinate.joint
-        for side in (joint.a, joint.b):
-            held = (
-                isinstance(side, Surface) and side.body is body and isinstance(body, ElasticBody)
-            )  # others: in the core
-            if held and side.name not in found:
-                found.append(side.name)
-    for c in scene.contacts.values():
-        for side in (c.slave, c.master):
-            if isinstance(side, Surface) and side.body is body and side.name not in found:
-                found.append(side.name)
-    return found
+    sides = [side for contact in scene.contacts.values() for side in (contact.slave, contact.master)]
+    if isinstance(body, ElasticBody):  # limits of others act on the core
+        joints = [limit.coordinate.joint for limit in scene.limits.values()]
+        sides = [side for joint in joints for side in (joint.a, joint.b)] + sides
+    return list(dict.fromkeys(side.name for side in sides if isinstance(side, Surface) and side.body is body))
 
 
 def make_massless(scene: Any, body: Any, field: Any) -> None:
