@@ -97,9 +97,8 @@ class Part(Protocol):
     shortening: Shortening | None = None  # of ports that are of second order in u
     constant_mass: Array | None = None  # (n, n) of the local coordinates; None: it moves with the part
     leaves_out: bool = False  # whether Newton's matrix lacks terms of its motion: gyroscopic and centrifugal ones
-    of_time: bool = (
-        True  # whether ``force`` may depend on time beside the motion: one that does not is asked once for each
-    )
+    # whether ``force`` may depend on time beside the motion: one that does not is asked once for each
+    of_time: bool = True
 
     together: bool = False  # whether ``force_many`` tells the rows of many motions by one call
 

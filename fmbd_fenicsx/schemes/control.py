@@ -69,9 +69,8 @@ class StepControl:
     span: float = 0.0  # s, what a step was at most allowed to be
     # (t, h, cause) since the last accepted step
     rejections: list[tuple[float, float, str]] = field(default_factory=list)
-    fault: str = (
-        ""  # since the last accepted step: what a law returned that could not be used, or a joint that stayed open
-    )
+    # since the last accepted step: what a law returned that could not be used, or a joint that stayed open
+    fault: str = ""
 
     def accepted(self, h: float, error: float, effort: float = 1.0) -> float:
         """Step after an accepted one; ``effort`` in (0, 1] lowers the safety when Newton worked hard."""

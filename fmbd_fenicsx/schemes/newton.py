@@ -27,9 +27,8 @@ FAR = 1e3  # of the tolerance: a first increment above it is worth a tangent of 
 # share of places that increments may be roundoff of
 (LEFT_OF_PLACES,) = constants("parts.h", "LEFT_OF_PLACES")
 FINEST = 1e-13  # increments are known to about this share
-CLOSING = (
-    0.1  # of SHUT: increments that leave joints closed, as rates of convergence foretell errors to a factor of ten
-)
+# of SHUT: increments that leave joints closed, as rates of convergence foretell errors to a factor of ten
+CLOSING = 0.1
 
 
 @dataclass(frozen=True)

@@ -37,9 +37,8 @@ SHARE = 0.1  # of its stiffness in a shape that may be left out: a twentieth of 
 IN_RUNS = 0.25  # the same at an instant of a run, where forces come and go
 ATTACHED, MEAN = 8.0, 55.0  # waves of (2) by the frame
 STILL = 1e-6  # displacement of a body that takes no part in a shape, over the largest
-CLAMPED = (
-    0.02  # square of the first frequency clamped at one end over that without supports: the softest that joints hold
-)
+# square of the first frequency clamped at one end over that without supports: the softest that joints hold
+CLAMPED = 0.02
 RIGID = 1e-6  # of that square, without supports, below which a shape is a rigid motion
 SLENDER = 4.0  # length over the least thickness
 

@@ -34,9 +34,8 @@ ROUGH = 10.0  # mu over what V^T K V lacks of symmetry, below which it is roundo
 WAY = 10.0 * SHIFT  # of a difference that has to tell the same, over the model's length
 SLOW = 1e-12  # squared rate, over that of the preconditioner's step, with which roundoff of reactions may let it grow
 ALIKE = 0.5  # of mu, by which it may differ
-GROWS = (
-    1e-3  # of the rate at which a motion is left without gyroscopic forces, and below which roundoff parts double zeros
-)
+# of the rate at which a motion is left without gyroscopic forces, and below which roundoff parts double zeros
+GROWS = 1e-3
 
 
 def falling(about: Perturbation, newton: StaticNewton) -> Array | None:

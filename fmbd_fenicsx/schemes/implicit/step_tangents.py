@@ -246,9 +246,8 @@ class SparseTangents(Remembering):
         self.weigh_once(solver, state)
         made = self.structure.tangent(state, mult)
         if made is None:
-            lower(
-                self.stiff.system.batch(*(np.array([x]) for x in (state.t, state.q, state.v)))
-            )  # which may say what is wrong
+            # which may say what is wrong
+            lower(self.stiff.system.batch(*(np.array([x]) for x in (state.t, state.q, state.v))))
             raise LinearSolveError("the tangent of a step is not finite.")
         self.take_directions(made)
         return made

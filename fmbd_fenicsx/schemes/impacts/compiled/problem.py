@@ -21,9 +21,8 @@ from ....system.compiled.states.evaluation import DriverStates
 from ....system.system import System
 from .structures import Blocks, Contacts, Problem, Tally
 
-VECTORS = (
-    16 + 2 * enumeration("DIRECTIONS", "contact/friction.c")["DIRECTIONS"]
-)  # of forces, that its iteration works with
+# of forces, that its iteration works with
+VECTORS = 16 + 2 * enumeration("DIRECTIONS", "contact/friction.c")["DIRECTIONS"]
 
 
 class CompiledProblem:
