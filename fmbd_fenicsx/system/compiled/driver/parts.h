@@ -107,6 +107,18 @@ int lingers(const double *p, int done, double left);
 /* Dependent rows, see factor.c: epsilon over the largest compliance of one. */
 static const double SOFT = 1e-9;
 
+/* Solutions whose rows are softened: n multipliers, complex ones by their parts, and how many corrections they take. ``weight``: of their
+   squares in products of forces; ``room``: CLOSING n. ``solve``: the multipliers for rows that are so many times the softness of y open, and,
+   to ``keep``, what moves then is added. */
+typedef struct {
+    int n, corrections;
+    const double *weight;
+    double *room;
+    void (*solve)(void *of, double times, const double *y, double *found, int keep);
+    void *of;
+} Softened;
+void close_softened(const Softened *o, double *y);
+
 /* Parameters of a march; increments of a step at most. */
 enum { H, AM, AF, GAMMA, BETA, TOL, FLOOR, CEILING, LENGTH, THETA, SLOW, MAXIT, HISTORY, PATIENCE, NEW_TANGENT, FAR,  /* in */
        ITERATIONS, LOCAL, GUARDED, HIGHEST, TURNOVER, WEIGHT, SHARE, SETTLING, LEFT,                                   /* in and out */

@@ -34,6 +34,7 @@ enum { ON_ITS_OWN, FIRST, FOLLOWING, AGAIN };              /* evaluations: of a 
 enum { RECENT = 8 };                                       /* samples that are kept, and whether they hold; ANEW: from now on */
 enum { FORGETS, RECALLS, ANEW };
 enum { LINE = 5, MOST_POINTS = 7 };                                      /* s, s', N, dN/ds and dN/ds' where Newton's iteration was last */
+enum { DIRECTIONS = 32, CLOSING = 6 + 2 * DIRECTIONS };      /* that a further one is conjugate to; room for close_softened() */
 enum { GOES_ON, CONVERGED, DIVERGED, TOO_SLOW };           /* outcomes of Newton's iteration of an implicit step */
 enum { ALPHA, RATTLE, RUNGE_KUTTA, HALF_EXPLICIT, MEANS, RADAU, BDF, THETA_RULE }; /* schemes that make many steps in one call, see march.c */
 
@@ -349,7 +350,7 @@ typedef struct {
     int first_took, untold;            /* increments of that step; steps since its rate of convergence was told, with the next one */
     double share;                      /* change of q over that of v in a step: open speeds times it are closed like gaps */
     const double *q;                   /* the configuration evaluated last */
-    double *work, *big, *directions;   /* directions: 11 x parts x rows, see close_faint(), driver_least() */
+    double *work, *big, *directions;   /* directions: (CLOSING + 2) x parts x rows, see with_all_rows(), driver_least() */
     long evaluations, factors, calls;
     int remembers;                     /* whether some formula or rod has a memory; 2: a controller in Python has one */
     int seen, readings, reactions;     /* of records: frames, items that are read, joints whose reaction is */

@@ -18,6 +18,7 @@ from .evaluation import DriverStates
 from .stage_patterns import StageStructure
 
 SIZE = enumeration("DONE")["SIZE"]  # a verdict: no room
+CLOSING = enumeration("DIRECTIONS")["CLOSING"]
 ENDINGS = enumeration("MOST_STAGES")["ENDINGS"]  # of steps that rates are made of, at most
 FILLED = 4  # entries of L, and of U, over those of K, that there is room for at first
 
@@ -120,7 +121,8 @@ class StageRoom(PointRoom):
         sizes: Sizes = {
             "K0": entries, "K1": entries, "K2": entries, "s": (p, 2), "A": (p, 2 * entries), "scales": (p, 2, size),
             "sizes": entries, "blocks": entries, "data": structure.count,
-            "softness": m, "soft": (p, 2 * size), "x": 2 * size, "right": (4, 2 * size), "mixed": 6 * n + 4 * size,
+            "softness": m, "soft": (p, 2 * size), "faint": (2 * (CLOSING + 1), multipliers),
+            "x": 2 * size, "right": (4, 2 * size), "mixed": 6 * n + 4 * size,
             "t": k, "q0": states.tables.system.n_q, "xi": (k, n), "rate": (k, n), "v": (k, n), "vd": (k, n),
             "mult": (k, max(multipliers, m)), "couple": (k, k), "inverse": (p, k, 2), "vectors": (k, p, 2), "past": k * ENDINGS,
             "ends": ENDINGS, "kin": (k, n), "low": (k, size), "dxi": (k, n), "dv": (k, n), "dmult": (k, max(multipliers, 1)),

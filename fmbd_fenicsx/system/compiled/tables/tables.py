@@ -16,6 +16,7 @@ from ....mechanics.joints.relative import RelativeCoordinates
 from ....mechanics.kinds.frames import FRAME
 from ....mechanics.placements import Approach
 from ...system import System
+from ..declarations import enumeration
 from ..order import LOCKED, RowGroup
 from .apart import attitudes_apart
 from .bodies.bodies import reduced_body, rigid_bodies, surface
@@ -34,6 +35,7 @@ from .sights import reaction_of, seen_places
 from .structures import SECANTS, array_of, structure
 
 MOTIONS = "motion", "motion_rate", "motion_second"  # of rows: s, s' and s'' of what is prescribed
+CLOSING = enumeration("DIRECTIONS")["CLOSING"]
 LINKS_LIMIT = 1_000_000  # entries of the rows of efforts that answer to more than their own coordinate
 
 
@@ -267,7 +269,7 @@ class Tables(TableLayout):
             "L": self.fronts.storage + 8, "lossy": (parts - 1) * self.fronts.storage + 8, "diagonal": size,
             "inverse": parts * size, "b": parts * size, "local": parts * size + 8,
             "work": once + s.n_v + self.rows + SECANTS * (2 * s.n_v + self.rows),
-            "directions": 11 * parts * self.rows,
+            "directions": (CLOSING + 2) * parts * self.rows,
             "big": (2 * self.twist + 1) * sides * widest + size,
             **dict.fromkeys(("gap", "slip", "weight", "locked", *MOTIONS), self.rows),
             "frames": (self.nb + 1 + len(self.surfaces), FRAME[self.dim]), **{name: len(x) for name, x in given.items()},

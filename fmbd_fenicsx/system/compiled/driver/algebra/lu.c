@@ -165,13 +165,42 @@ static double NAME(remainder)(const Stages *o, const NUMBER *A, const NUMBER *ri
     return most;
 }
 
-/* The solution for rows that are softness times y open, ``times`` that, added to y. */
-static void NAME(add_softness)(const Stages *o, int f, double times, NUMBER *y, NUMBER *open, NUMBER *more)
+/* A solution y of one frequency. */
+typedef struct {
+    const Stages *o;
+    int f;
+    NUMBER *y;
+} NAME(Solution);
+
+/* For rows that are ``times`` their softness times some multipliers open. */
+static void NAME(of_softness)(void *of, double times, const double *mult, double *made, int keep)
 {
+    const NAME(Solution) *found = of;
+    const Stages *o = found->o;
+    const long N = sizeof(NUMBER) / sizeof(double);
+    const NUMBER *soft = (const NUMBER *)(o->soft + (long)found->f * 2 * o->size), *given = (const NUMBER *)mult;
+    NUMBER *open = (NUMBER *)(o->right + 2 * N * o->size), *more = open + o->size;
+    for (int i = 0; i < o->size; i++) open[i] = i < o->n ? 0.0 : -times * soft[i] * given[i - o->n];
+    NAME(substitute)(o, o->lower + found->f, open, more);
+    memcpy(made, more + o->n, (o->size - o->n) * sizeof(NUMBER));
+    for (int i = 0; keep && i < o->n; i++) found->y[i] += more[i];
+}
+
+/* A solution y with the corrections of soften(); levels of multipliers count by how soft their rows are. */
+static void NAME(correct_softened)(const Stages *o, int f, NUMBER *y)
+{
+    const int N = sizeof(NUMBER) / sizeof(double), m = N * (o->size - o->n);
+    const double *rows = o->scales + (long)f * 2 * o->size, *columns = rows + o->size;
     const NUMBER *soft = (const NUMBER *)(o->soft + (long)f * 2 * o->size);
-    for (int i = 0; i < o->size; i++) open[i] = i < o->n ? 0.0 : -times * soft[i] * y[i];
-    NAME(substitute)(o, o->lower + f, open, more);
-    for (int i = 0; i < o->size; i++) y[i] += more[i];
+    double *weight = o->faint + CLOSING * m;
+    for (int i = 0; i < m; i++) {
+        const int j = o->n + i / N;
+        weight[i] = ABSOLUTE(soft[j]) * columns[j] / rows[j];
+    }
+
+    NAME(Solution) found = {o, f, y};
+    const Softened softened = {m, o->corrections, weight, o->faint, NAME(of_softness), &found};
+    close_softened(&softened, (double *)(y + o->n));
 }
 
 /* Increments dxi, dv behind each other and multipliers for the residuals of one frequency; ``judged``: as of the remainder. */
@@ -198,7 +227,7 @@ static void NAME(resolve)(const Stages *o, int f, const NUMBER *kin, const NUMBE
         judged[0] = NAME(remainder)(o, A, right, y, left, o->size, judged + 1);
     }
     if (o->units) { /* rows that contradict each other stay open */
-        for (int k = 0; k < o->corrections; k++) NAME(add_softness)(o, f, correction(k, o->corrections), y, left, more);
+        NAME(correct_softened)(o, f, y);
         judged[0] = NAME(remainder)(o, A, right, y, left, o->n, judged + 1);
         if (judged[0] > REFINE * judged[1]) {
             for (int i = o->n; i < o->size; i++) left[i] = 0.0;

@@ -25,6 +25,7 @@ typedef struct {
     double *K0, *K1, *K2, *s, *A, *scales, *sizes, *blocks; /* A: frequencies x entries, scaled; sizes: entries; */
                                     /* blocks: of K, side by side */
     double *units, *softness, *soft; /* units of multipliers, NULL: rows do not depend; m; frequencies x size, complex */
+    double *faint;                  /* 2 (CLOSING + 1) x (size - n), see correct_softened() */
     Lower *lower;
     double *x, *right, *mixed;      /* work: size; 4 size; 3 n + 2 size, all complex */
     int *stack, *mark, *found;

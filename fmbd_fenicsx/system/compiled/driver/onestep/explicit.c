@@ -115,7 +115,7 @@ EXPORT int driver_accelerate(System *s, int factored, double t, double length, c
    forces at rest. NEWTON where the forces are not the same, since rows nearly depend. ``room``: 2 nv + rows. */
 EXPORT int driver_least(System *s, int factored, double t, long count, const double *q, double *lam, double *room)
 {
-    double *push = room, *x = push + s->nv, *y = x + s->nv, *least = s->directions + 10 * s->parts * s->rows, last = NAN;
+    double *push = room, *x = push + s->nv, *y = x + s->nv, *least = s->directions + CLOSING * s->parts * s->rows, last = NAN;
     int verdict = sample(s, t, &last);
     memset(x, 0, s->nv * sizeof(double));
     if (verdict || (verdict = place(s, q, x))) return verdict;
