@@ -84,14 +84,20 @@ def test_tangent_is_exact(dim: int) -> None:
     assert np.abs(tangent.D[0] @ twist + both - at_rest).max() < 1e-12 * np.abs(both).max()
 
 
-def test_turned_by_a_large_angle() -> None:
-    """A free body on a torsional bushing alone, in space: energy stays through turns of 2.5 rad, also where cos < 0."""
-    body = fmbd.RigidBody("body", 1.0, (0.1, 0.1, 0.1), angular_velocity=(3.0, 4.0, 0.0))
+@pytest.mark.parametrize("share", [1.0, 1.5])
+def test_turned_by_a_large_angle(share: float, caplog: pytest.LogCaptureFixture) -> None:
+    """A free body on a torsional bushing alone, in space: energy stays through turns of 2.5 rad, also where cos < 0; beyond
+    half a turn, where moments change their sign, it is told of.
+    """
+    body = fmbd.RigidBody("body", 1.0, (0.1, 0.1, 0.1), angular_velocity=(3.0 * share, 4.0 * share, 0.0))
     scene = fmbd.Scene("torsion")
     K = (50.0, 50.0, 50.0, 0.4, 0.4, 0.4)
     scene.add(body, fmbd.bushing("mount", fmbd.ground, body, stiffness=K, center=(0, 0, 0)))
     scene.sensor("turn", fmbd.rotation(body))
     run = fmbd.solve(scene, t_end=1.0, dt=2e-3)
+    assert ("half a turn" in caplog.text) == (share > 1.0)
+    if share > 1.0:
+        return
     w = 2.0  # sqrt(k / J): the axis stays, so it is a torsional oscillator of amplitude 5 / w = 2.5 rad
     angle = np.arccos((run["turn"][:, [0, 4, 8]].sum(1) - 1) / 2)
     assert angle.max() > 2.2

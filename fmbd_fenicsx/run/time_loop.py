@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time as clock
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, TypeAlias, cast
 
 from ..agreement import OneAnswer
 from ..errors import ConvergenceError, LinearSolveError
@@ -15,7 +15,7 @@ from ..system.bends import Bends
 from ..system.element_memory import next_sample, restore
 from ..system.evaluation import Evaluation
 from ..system.layout import State
-from ..system.small_turns import SmallTurns
+from ..system.small_turns import HalfTurns, SmallTurns
 from ..system.spins import Spins
 from .checkpoints.progress import RunProgress
 from .compiled_calls import CHUNK, CompiledCalls
@@ -54,9 +54,10 @@ class Marched:
 
 
 MOST = 10_000_000  # steps in one call
+Watcher: TypeAlias = SmallTurns | HalfTurns | Spins | Bends | AxialForces
 
 
-def _stride(watcher: SmallTurns | Spins | Bends | AxialForces, steps: int) -> int:
+def _stride(watcher: Watcher, steps: int) -> int:
     """So many of all steps at most between two looks of a watcher: all where it has nothing to look at any more."""
     return max(steps // watcher.looks + 1, watcher.between) if watcher.bodies else steps
 
@@ -121,10 +122,11 @@ class Loop:
         # who watches
         self.judges.forecast.since = state.t
         self.motions = _motions(problem, schedule, state.t)
-        watched = problem.warned is not None and system.parts
-        watchers = (
-            (SmallTurns(system), Spins(system), Bends(system), AxialForces(system, IN_RUNS, state.t)) if watched else ()
-        )
+        watchers: list[Watcher] = []
+        if problem.warned is not None and system.forces:
+            watchers.append(HalfTurns(system))
+        if problem.warned is not None and system.parts:
+            watchers += [SmallTurns(system), Spins(system), Bends(system), AxialForces(system, IN_RUNS, state.t)]
         self.watchers = [watcher for watcher in watchers if watcher.bodies]
         self.events = _events(problem, schedule, output, state)
         self.event_met = False

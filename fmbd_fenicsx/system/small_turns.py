@@ -1,7 +1,8 @@
-"""A look at bodies in absolute coordinates, x = X + u, whose forms are for small rotations.
+"""A look at what is to turn little: bodies in absolute coordinates, x = X + u, with forms for small rotations, and bushings.
 
 A rotation by theta strains a body of a linear form, or of an energy of linear strains, by 1 - cos theta, and no joint or
-energy shows it; a viscous form of linear strains brakes the rotation itself.
+energy shows it; a viscous form of linear strains brakes the rotation itself. The moments of a bushing change their sign at half a
+turn, at the same energy.
 """
 
 from __future__ import annotations
@@ -11,10 +12,12 @@ from typing import Any
 import numpy as np
 
 from ..log import log
+from ..mechanics.forces.bushing import BushingLoads
 from .layout import State
 from .system import System
 
 SMALL = 0.05  # rad
+HALF = 0.9 * np.pi  # rad: what is turned by more is soon turned by half a turn
 
 
 class SmallTurns:
@@ -40,3 +43,27 @@ class SmallTurns:
                 np.arcsin(sine),
                 part.turns_little.format(strain=1.0 - np.sqrt(1.0 - sine**2)),
             )
+
+
+class HalfTurns:
+    """Who looks at the bushings that resist rotations."""
+
+    looks, between = 64, 8  # as of :class:`SmallTurns`
+
+    def __init__(self, system: System) -> None:
+        self.system = system
+        self.bodies = [x for x in system.forces if isinstance(x, BushingLoads)]
+
+    def look(self, state: State) -> None:
+        """Warn once of each group of bushings where one is turned by half a turn; collective."""
+        kin = self.system.at(state.t, state.q, state.v).kin
+        for loads in list(self.bodies):
+            turns = loads.turns(kin)
+            if turns.max() <= HALF:
+                continue
+            self.bodies.remove(loads)
+            log.warning(
+                'bushing "%s" is turned by %.3g rad: its moments change their sign at half a turn. Take a joint and '
+                "fmbd.joint_spring on its angle, which counts turns, or leave out the stiffness against rotations",
+                loads.forces[int(turns.argmax())].name, turns.max(),
+            )  # fmt: skip

@@ -29,7 +29,7 @@ from ...system.layout import State
 from ...system.mobility import tell_of_modes
 from ...system.scene.alike import alike
 from ...system.scene.scene import Scene
-from ...system.small_turns import SmallTurns
+from ...system.small_turns import HalfTurns, SmallTurns
 from ...system.speed_rows import speed_rows
 from ...system.spins import Spins
 from ...system.system import System
@@ -147,7 +147,7 @@ def equilibrium(
         }
 
         found = Equilibrium(scene, system, state_of(system, point, t, turning), markers, turning, made, counters)
-        for watch in (Spins, SmallTurns, Bends, AxialForces):
+        for watch in (Spins, SmallTurns, HalfTurns, Bends, AxialForces):
             watch(system).look(found.state)
         tell_of_modes(system.at(t, found.state.q))
         if made is not None:

@@ -80,6 +80,12 @@ class BushingLoads(Loads):
         """K and C in the axes of markers a."""
         return self.K, self.C
 
+    def turns(self, kin: Kinematics) -> Array:
+        """Angles (m,), rad, by which b is turned against a; 0 where rotations are not resisted."""
+        d = self.motions.dim
+        resisted = np.abs(self.K[:, d:, d:]).max(axis=(1, 2)) > 0.0
+        return resisted * np.linalg.norm(self._relative(self._pose(kin))[0][:, d:], axis=1)
+
     def _pose(self, kin: Kinematics) -> _Pose:
         return _Pose(kin.x[self.a], kin.R[self.a], kin.x[self.b], kin.R[self.b])
 
