@@ -378,7 +378,7 @@ class Settled:
             return False
         last = self.last
         values, vectors = eigenpairs(small, self.n, self.about)
-        self.last = values**2
+        self.last = _together(values**2)
         if last is None:
             return False
         size, rough = np.abs(self.last), _roundoff(small, vectors)
@@ -390,6 +390,17 @@ class Settled:
         same = np.abs(self.last - last) <= stays * (size + RIGID * size.max()) + borne
         self.stays = self.stays + 1 if same.all() else 0
         return self.stays == 2
+
+
+def _together(squares: Array) -> Array:
+    """Values, with the mean of those that lie as near as errors of ``STAYS`` part a double root: that keeps to them, the roots
+    stray by their square root.
+
+    What flies straight on turns back in turning axes: a double root at the rate of the spin, which has one motion only.
+    """
+    apart = np.abs(squares[:, None] - squares)
+    near = apart <= np.sqrt(STAYS) * np.maximum(np.abs(squares)[:, None], np.abs(squares))
+    return np.asarray((near @ squares) / near.sum(axis=1))
 
 
 def _roundoff(small: ProjectedSystem, vectors: Array) -> Array:
