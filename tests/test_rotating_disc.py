@@ -40,7 +40,7 @@ def test_breathing_and_twisting(kind: Any, spin: float, share: float, monkeypatc
 
 @pytest.mark.parametrize("kind", [fmbd.AbsoluteBody, fmbd.FloatingBody])
 def test_spinning_ring(kind: Any, caplog: pytest.LogCaptureFixture) -> None:
-    """Its two waves are parted as those of the inextensional ring (Bryan) where the body sees its stress. The flight of the ring, a
+    """Its two waves are parted as those of the inextensional ring (Bryan) where the body sees its stress. The flight of a ring, a
     double root, does not keep its modes from settling.
     """
     width, E, rho = 0.05, 1e9, 1e3
