@@ -18,6 +18,7 @@ FLOORS = [
         "dolfinx_compat",
         "materials",
         "matrices",
+        "polynomials",
         "energies",
         "kernel_cache",
         "checks",

@@ -27,6 +27,7 @@ from typing import Any
 import numpy as np
 
 from ... import kernel_cache
+from ...polynomials import lagrange
 from ...rotations import Array
 from ..kinds.expressions import Expression, Program, c_lines, gradient, symbol
 from ..kinds.frames import Vector, cross
@@ -73,8 +74,7 @@ def shape_of(degree: int) -> LobattoShape:
 
 def values_at(shape: LobattoShape, xi: float) -> Array:
     """Weights (q,) that continue numbers at the Gauss points, as a polynomial, to the place xi."""
-    basis = np.array([np.prod([(xi - b) / (a - b) for b in shape.points if b != a]) for a in shape.points])
-    return basis
+    return np.array(lagrange(shape.points, xi))
 
 
 # -- the definition, and what follows from it -----------------------------------------------------------------------------

@@ -6,6 +6,7 @@ import numpy as np
 
 from ...mechanics.rods.rods import Rod, node_name
 from ...mechanics.rods.strains import shape_of
+from ...polynomials import lagrange_values
 from ...rotations import Array, quaternion_matrix
 from .bodies import THINNEST, pieces_of
 from .places import Places
@@ -22,7 +23,7 @@ def centreline(rod: Rod, poses: Array) -> tuple[Array, Array]:
     """Places (n, 3) and rotations (n, 3, 3) along a rod whose nodes have the ``poses`` (nodes, 7), ``PIECES`` to an element."""
     nodes = shape_of(rod.degree).nodes
     xi = np.linspace(-1.0, 1.0, PIECES + 1)
-    N = np.stack([np.prod([(xi - b) / (a - b) for b in nodes if b != a], axis=0) for a in nodes], axis=1)
+    N = lagrange_values(nodes, xi)
 
     nodal = poses[rod.connectivity].copy()
     for i in range(1, nodal.shape[1]):  # quaternions of one sign within each element

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ...polynomials import lagrange
 from ...rotations import Array
 
 CUBIC = 4  # times as many values as common ones, from which on values between them count
@@ -121,8 +122,7 @@ def between_ends(t: Array, x: Array, times: Array, y: Array, common: Deviation) 
     def on(points: int) -> Array:
         """Lagrange's polynomial through the first so many points."""
         total = np.zeros((len(at), flat.shape[1]))
-        for i in range(points):
-            weight = np.prod([(at - s[:, j]) / (s[:, i] - s[:, j]) for j in range(points) if j != i], axis=0)
+        for i, weight in enumerate(lagrange(s.T[:points], at)):
             total += weight[:, None] * flat[first + i]
         return total
 

@@ -26,6 +26,7 @@ import numpy as np
 from ...checks import check_fields
 from ...errors import require
 from ...linear.condensation import StepSolver
+from ...polynomials import lagrange_values
 from ...rotations import Array
 from ...system.compiled.implicit import WORK, ImplicitRoom, OrdersOfBDF
 from ...system.compiled.own_steps import OwnRoom
@@ -46,7 +47,7 @@ from ..onestep.radau import Radau
 from .amplification import STABLE
 from .corrector import ALONE, NEAR, RATES, Corrector
 from .order_choice import CALM, HIGHER, LEAST, LOWER, SAFETY, WITHIN, OrderChoice
-from .past import LONGEST, Past, all_weights, before, increments, keep_past, local, slopes, slopes_at_first, weights
+from .past import LONGEST, Past, before, increments, keep_past, local, slopes, slopes_at_first, weights
 
 if TYPE_CHECKING:
     from ...system.compiled.kept import KeptSteps
@@ -367,7 +368,7 @@ class BDFStepper(ImplicitStepper):
         xi = increments(self.system, np.broadcast_to(end.q[:, None], q.shape), (t, q, v))
 
         at = steps.t[:, 0]
-        w, rates = all_weights(t, at)[:, None], slopes(t, at)[:, None]
+        w, rates = lagrange_values(t, at)[:, None], slopes(t, at)[:, None]
         place = self.system.compose(end.q, (w @ xi)[:, 0])
         lam = (w @ mult)[:, 0, : self.system.n_lam]
         return States(steps.t, place, (w @ v)[:, 0], (rates @ v)[:, 0], lam)

@@ -10,10 +10,10 @@ Configurations are taken as increments xi_j from the newest one, of as many turn
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
+from ...polynomials import lagrange
 from ...rotations import Array
 from ...system.layout import State
 from ...system.serialisation import Memory
@@ -67,26 +67,9 @@ def increments(system: System, q0: Array, past: tuple[Array, Array, Array]) -> A
     return xi
 
 
-def _products(every: list[Any], t: Any) -> list[Any]:
-    """l_j(t) of (1) for nodes, each a number or an array of them."""
-    found = []
-    for i, node in enumerate(every):
-        made = 1.0
-        for j, other in enumerate(every):
-            if j != i:
-                made = made * ((t - other) / (node - other))
-        found.append(made)
-    return found
-
-
 def weights(nodes: Array, t: float) -> Array:
     """l_j(t) of (1), (k,)."""
-    return np.array(_products([float(x) for x in nodes], t))  # a few numbers: Python is faster than arrays
-
-
-def all_weights(nodes: Array, t: Array) -> Array:
-    """The weights l_j(t) for many nodes (n, k) and times (n,), (n, k)."""
-    return np.stack(_products(list(nodes.T), t), axis=1)
+    return np.array(lagrange(nodes.tolist(), t))
 
 
 def slopes(nodes: Array, t: Array) -> Array:

@@ -7,6 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from ...polynomials import lagrange_values
 from ...rotations import Array
 
 
@@ -36,7 +37,7 @@ def tableau(stages: int) -> Tableau:
     """Radau IIA: collocation at the zeros of P_s - P_s-1, so the coefficients integrate the Lagrange polynomials."""
     c = _nodes(stages)
     x, w = np.polynomial.legendre.leggauss(stages)
-    A = np.array([0.5 * ci * (w @ lagrange(c, 0.5 * ci * (1 + x))) for ci in c])
+    A = np.array([0.5 * ci * (w @ lagrange_values(c, 0.5 * ci * (1 + x))) for ci in c])
     W = np.linalg.inv(A)
 
     # of each complex pair of eigenvalues one, behind the real one
@@ -54,7 +55,7 @@ def tableau(stages: int) -> Tableau:
     # polynomials through the start of a step and its stages
     nodes = np.append(0.0, c)
     basis, stage_basis = (np.linalg.inv(z[:, None] ** np.arange(len(z))) for z in (nodes, c))
-    middle = lagrange(nodes, np.array([0.5]))[0, 1:]
+    middle = lagrange_values(nodes, np.array([0.5]))[0, 1:]
     return Tableau(c, W, values.astype(complex), doubled, inverse, gamma, error, basis, stage_basis, middle)
 
 
@@ -84,13 +85,3 @@ def controlled(stages: int) -> Tableau:
     values = np.append(complex(tab.gamma), tab.values)
     inverse = np.concatenate((np.zeros((1, stages)), tab.inverse))
     return replace(tab, values=values, vectors=np.pad(tab.vectors, ((0, 0), (1, 0))), inverse=inverse)
-
-
-def lagrange(nodes: Array, x: Array) -> Array:
-    """Values of the Lagrange polynomials of the nodes at points x, (len(x), len(nodes))."""
-    out = np.ones((len(x), len(nodes)))
-    for j, nj in enumerate(nodes):
-        for k, nk in enumerate(nodes):
-            if k != j:
-                out[:, j] *= (x - nk) / (nj - nk)
-    return out

@@ -34,6 +34,7 @@ from ...marching import lend_newton
 from ..contact_detection import tell_rest
 from ..contact_newton import frictional_forces, normal_forces
 from .pairs import COMPLEMENTARITY, RESTED, PairTables
+from .problem import dense_compliance
 from .spheres import Spheres
 from .structures import Blocks, Contacts, Graph, Problem, Tree, structure
 from .tape import ContactTape
@@ -204,14 +205,12 @@ class ContactDriver(PairTables):
     def _compliance(self, problem: ctypes.Structure) -> Array:
         """W of a group of contacts, dense."""
         m, d = problem.m, self.c.components
-        W = np.zeros((m, d, m, d))
         first = whole_numbers(problem.first, m + 1)
-        row, where = np.repeat(np.arange(m), np.diff(first)), slice(first[0], first[-1])
+        used = slice(first[0], first[-1])
+        row, near = np.repeat(np.arange(m), np.diff(first)), whole_numbers(problem.near, first[-1])[used]
         own = numbers(problem.own, m * d * d).reshape(m, d, d)
-        between = numbers(problem.W, first[-1] * d * d).reshape(-1, d, d)
-        W[range(m), :, range(m)] = own
-        W[row, :, whole_numbers(problem.near, first[-1])[where]] = between[where]
-        return W.reshape(m * d, m * d)
+        between = numbers(problem.W, first[-1] * d * d).reshape(-1, d, d)[used]
+        return dense_compliance(own, between, row, near)
 
     # -- the march -----------------------------------------------------------------------------------------------------------
     def load(self, t: float, state: tuple[Array, Array, Array, Array]) -> None:

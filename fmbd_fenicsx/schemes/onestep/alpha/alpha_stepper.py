@@ -25,6 +25,7 @@ from ....errors import ConvergenceError, LinearSolveError
 from ....linear.blocks.incompressibility import volume_push
 from ....linear.condensation import StepSolver
 from ....linear.redundancy import least
+from ....polynomials import lagrange
 from ....rotations import Array
 from ....system.barriers import over_barrier
 from ....system.compiled.declarations import constants
@@ -56,8 +57,7 @@ def _keep_counters(m: Memory, name: str, counters: Any) -> dict[str, float]:
 
 def _led(points: list[tuple[float, Array, Array]], t: float) -> tuple[Array, Array]:
     """a and lambda at t by the polynomial through those of states."""
-    times = np.array([p[0] for p in points])
-    weights = [np.prod((t - np.delete(times, i)) / (ti - np.delete(times, i))) for i, ti in enumerate(times)]
+    weights = lagrange(np.array([p[0] for p in points]), t)
     a, lam = (sum(w * p[k] for w, p in zip(weights, points, strict=True)) for k in (1, 2))
     return a, lam
 

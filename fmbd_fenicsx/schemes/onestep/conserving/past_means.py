@@ -7,9 +7,9 @@ from typing import ClassVar
 
 import numpy as np
 
+from ....polynomials import lagrange
 from ....rotations import Array
 from ....system.serialisation import Memory, Remembering, plain
-from ...multistep.past import weights as lagrange
 
 LONGEST = 3  # means that are kept
 
@@ -32,7 +32,7 @@ class PastMeans(Remembering):
     def predicted(self, t: float) -> tuple[Array, Array]:
         """Both at t (s) by the best polynomial."""
         times, a, lam = zip(*self.known[: self.through], strict=True)
-        w = lagrange(np.array(times), t)
+        w = np.array(lagrange(times, t))
         return w @ np.array(a), w @ np.array(lam)
 
     def take(self, mean: tuple[float, Array, Array], size: Callable[[Array], Array], rigid: Array | None) -> None:
@@ -43,7 +43,7 @@ class PastMeans(Remembering):
         times, earlier, _ = zip(*self.known, strict=True)
         w = np.zeros((len(times), len(times)))  # of polynomials through one, two .. of them
         for k in range(len(times)):
-            w[k, : k + 1] = lagrange(np.array(times[: k + 1]), t)
+            w[k, : k + 1] = lagrange(times[: k + 1], t)
         found = w @ np.array(earlier)
         missed = size((found if rigid is None else np.concatenate((found, rigid[None]))) - a)
 
