@@ -154,6 +154,8 @@ class DistributedPart(Part, Protocol):
     field: Field
     inertia_columns: Array
     shared_columns: bool = False
+    moves_ports: bool = False  # whether its ports move along it, see ``port_entries``
+    weights: Array | None = None  # (d, n): what gravity along each axis acts with on numbers that are no places
     traces: Sequence[Any] = ()  # sparse rows (rows, n) of ties by field multipliers, the last of the ports
     heavier: tuple[Array, Array] | None = None  # V (n, k) and C (k, k) of a mass V C V^T beside the field's own
     slack: np.ndarray | None = None  # one-sided springs that the tangent leaves out
@@ -167,6 +169,14 @@ class DistributedPart(Part, Protocol):
     def column_version(self, t: float) -> Any:
         """Number of the columns E^-1 H at time t (s); a new one asks for new columns."""
         return 0
+
+    @property
+    def in_use(self) -> Any:
+        """Which columns are in use, at whatever time."""
+        return 0
+
+    def port_entries(self, ports: np.ndarray, t: float) -> tuple[np.ndarray, Array, Array]:
+        """Columns of ports that move, (k, m): the coordinates that each has, their entries, and the rates of these, 1/s."""
 
     @property
     def tangent_version(self) -> int:

@@ -71,6 +71,7 @@ class FactoredField:
     Y: Array  # (n d, k + len(used)), k columns of inertia
     W: Array
     matrix: FieldMatrix
+    in_use: Any = 0  # of the part, when they were made
 
     def seen_by(self, R: Array, S: Array) -> Array:
         """R^T W S. Rows of a tie take few ports each: W is symmetric, so that each factor meets it from the left."""
@@ -198,7 +199,7 @@ class FieldBlocks:
         H = self._constant_columns(k, part, used, G.t)
         Y = factor.solve_columns(H)
         W = part.field.total(np.asarray(thin(H.T) @ Y))
-        return FactoredField(factor, used, Y, 0.5 * (W + W.T), matrix)
+        return FactoredField(factor, used, Y, 0.5 * (W + W.T), matrix, part.in_use)
 
     def _constant_columns(self, k: int, part: DistributedPart, used: np.ndarray, t: float) -> Array:
         """H of part k at a time (s), made again where other ports are used or columns have changed."""

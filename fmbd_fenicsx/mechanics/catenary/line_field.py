@@ -14,6 +14,11 @@ from ...rotations import Array
 
 
 @dataclass(frozen=True)
+class _Unloaded:
+    loads: tuple[Any, ...] = ()
+
+
+@dataclass(frozen=True)
 class _Damping:
     mass_damping: float
     stiffness_damping: float
@@ -28,9 +33,10 @@ class LineField:
 
     dim = 1
     D = None  # no damping form
+    loads = _Unloaded()
     numbering = None  # every rank holds all unknowns
     redistributed = False
-    nonlinear = mixed = indefinite = carried = keeps_volume = False
+    nonlinear = mixed = indefinite = carried = keeps_volume = extended = False
     rest_damping = None  # its stiffness is constant
 
     def __init__(self, body: Any) -> None:
@@ -141,6 +147,15 @@ class LineField:
         total = sp.csr_matrix((values, cols, start), shape=K.size) + rows.T @ sp.diags(weights) @ rows
         K.destroy()
         return petsc_of(total, total.shape, self.comm)
+
+    @property
+    def stiffness_without_stress(self) -> Any:
+        """K, which is constant."""
+        return self.K
+
+    def dampings(self) -> list[tuple[float, Any]]:
+        """Of damping forms: none."""
+        return []
 
     def csr(self) -> Any:
         """K as a SciPy matrix."""

@@ -68,10 +68,6 @@ class SlidingContact:
         second = s**3 * (140 - 420 * s + 420 * s**2 - 140 * s**3)
         return self.start + v * T * x, v * rate, v / T * second
 
-    def path(self, t: float) -> float:
-        """Place of the contact, m."""
-        return self.motion(t)[0]
-
 
 @dataclass
 class Status:
@@ -91,8 +87,13 @@ class WireSide:
     motion: Callable[[float], tuple[float, float, float]]
     status: Status
 
+    @property
+    def first(self) -> int:
+        """The first of its ports."""
+        return 4 * self.slot
+
     def _mine(self, p: Array) -> Array:
-        return p[4 * self.slot : 4 * self.slot + 4]
+        return p[self.first : self.first + 4]
 
     def values(self, p: Array, t: float) -> Array:
         """-w."""
@@ -101,7 +102,7 @@ class WireSide:
     def jacobian(self, p: Array, t: float) -> Array:
         """d values / d p; kept for an open contact as a zero row."""
         out = np.zeros((1, len(p)))
-        out[0, 4 * self.slot] = -1.0 if self.status.closed else 0.0
+        out[0, self.first] = -1.0 if self.status.closed else 0.0
         return out
 
     def rate(self, p: Array, t: float) -> Array:
@@ -127,17 +128,18 @@ class HeadSide:
     status: Status
 
     @property
-    def _which(self) -> int:
+    def number(self) -> int:
+        """Which coordinate takes part."""
         return self.coordinate if self.status.closed or self.idle is None else self.idle
 
     def values(self, p: Array, t: float) -> Array:
         """y."""
-        return p[[self._which]]
+        return p[[self.number]]
 
     def jacobian(self, p: Array, t: float) -> Array:
         """d values / d p."""
         out = np.zeros((1, len(p)))
-        out[0, self._which] = 1.0
+        out[0, self.number] = 1.0
         return out
 
     def rate(self, p: Array, t: float) -> Array:

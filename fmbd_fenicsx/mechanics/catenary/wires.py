@@ -175,24 +175,26 @@ class Wires(Body):
 
 def slider_tables(
     body: Wires, field: LineField, sliders: Sequence[tuple[int, Any]], t: float
-) -> list[tuple[np.ndarray, Array]]:
-    """What points that slide see of the wires at time t (s): unknowns, and w, w_x, w_xx of them."""
+) -> list[tuple[np.ndarray, Array, float]]:
+    """What points that slide see of the wires at time t (s): unknowns, and w, w_x, w_xx of them; their speeds, m/s."""
     tables = []
-    for wire, path in sliders:
-        x = float(path(t))
+    for wire, motion in sliders:
+        x, speed, _ = motion(t)
         if not 0 <= x <= body.length:
             raise InputError(f'A point that slides on wires "{body.name}" leaves them: x = {x:g} m at t = {t:g} s.')
-        tables.append(field.shape(wire, x, 2))
+        tables.append((*field.shape(wire, x, 2), speed))
     return tables
 
 
 class WiresPart(FieldPart):
     """Wires as a part of a system. Ports: w, w_x, w_xx at each point that slides along a wire, and a zero.
 
-    ``sliders``: (wire, function t -> x). The ports move with time.
+    ``sliders``: (wire, function t -> x, x', x''). The ports move with time.
     """
 
     PORTS = 4
+    moves_ports = True
+    stiffening = None
     slack: np.ndarray  # numbers of the droppers that the tangent leaves out
 
     def __init__(self, body: Wires, frame: int, sliders: Sequence[tuple[int, Any]]) -> None:
@@ -207,6 +209,8 @@ class WiresPart(FieldPart):
         self.reference = np.zeros(self.n_port)
 
         self.mass_total, self.size = self.field.mass_total, self.field.size
+        self.weights = np.stack((np.zeros(self.n), self.field.weight))
+        self.moment, self.inertia = np.zeros(2), np.zeros((1, 1))  # the frame rests
 
         # what the tangent was taken at
         self.slack = np.zeros(0, dtype=int)
@@ -217,7 +221,12 @@ class WiresPart(FieldPart):
 
     def column_version(self, t: float) -> Any:
         """Where the ports are and which of them are in use."""
-        return (t, *(s.closed for s in self.statuses))
+        return t, self.in_use
+
+    @property
+    def in_use(self) -> tuple[bool, ...]:
+        """Which contacts are closed."""
+        return tuple(s.closed for s in self.statuses)
 
     # -- tangent ------------------------------------------------------------------------------------------------
     def corotation(self, u: Array) -> None:
@@ -241,6 +250,11 @@ class WiresPart(FieldPart):
         """Number of slack sets taken so far."""
         return self._tangents
 
+    @property
+    def renewable(self) -> bool:
+        """Whether droppers may go slack."""
+        return len(self.field.stiff) > 0
+
     def relinearise(
         self, motion: FrameMotion, local: tuple[Array, Array, Array], increment: Approach | None = None
     ) -> bool:
@@ -255,12 +269,12 @@ class WiresPart(FieldPart):
     # -- mechanics ----------------------------------------------------------------------------------------------
     def port_shares(self, w: Array, t: float) -> Array:
         """w, w_x, w_xx, 0 at each sliding point."""
-        return np.concatenate([np.zeros(0), *(np.append(table @ w[dofs], 0.0) for dofs, table in self._tables(t))])
+        return np.concatenate([np.zeros(0), *(np.append(table @ w[dofs], 0.0) for dofs, table, _ in self._tables(t))])
 
     def port_force(self, f: Array, t: float) -> Array:
         """Its transpose."""
         out = np.zeros(self.n)
-        for (dofs, table), fi in zip(self._tables(t), f.reshape(-1, self.PORTS), strict=True):
+        for (dofs, table, _), fi in zip(self._tables(t), f.reshape(-1, self.PORTS), strict=True):
             out[dofs] += table.T @ fi[:3]
         return out
 
@@ -269,6 +283,18 @@ class WiresPart(FieldPart):
         columns = [self.port_force(one, t) for one in np.eye(self.n_port)[used]]
         return np.reshape(columns, (len(used), self.n)).T
 
+    def port_entries(self, ports: np.ndarray, t: float) -> tuple[np.ndarray, Array, Array]:
+        """Entries (k, 4) of columns of :meth:`port_force` for the values w and slopes w_x among the ports: unknowns, values, and
+        rates of these as the ports move, 1/s.
+        """
+        tables = self._tables(t)
+        slots = [(tables[p // self.PORTS], p % self.PORTS) for p in ports]
+        return (
+            np.reshape([dofs for (dofs, _, _), _ in slots], (len(ports), 4)),
+            np.reshape([table[order] for (_, table, _), order in slots], (len(ports), 4)),
+            np.reshape([speed * table[order + 1] for (_, table, speed), order in slots], (len(ports), 4)),
+        )
+
     def port_gram(self, t: float) -> Array:
         """P P^T of the ports; every rank holds all wires."""
         columns = self.port_columns(np.arange(self.n_port), t)
@@ -276,11 +302,16 @@ class WiresPart(FieldPart):
 
     def force(self, motion: FrameMotion, local: tuple[Array, Array, Array]) -> tuple[Array, Array]:
         """Rows of (1)."""
-        u, v, a = local
-        f, forms = self.field, self.field.forms
-        inertia = a + forms.mass_damping * v if forms.mass_damping else a
+        still, rows = self.held_force(motion, local)
+        return still, self.field.mass(local[2][:, None])[:, 0] - motion.gravity @ self.weights + rows
 
-        rows = f.mass(inertia[:, None])[:, 0] - motion.gravity[1] * f.weight + f.internal(u)
+    def held_force(self, motion: FrameMotion, local: tuple[Array, Array, Array]) -> tuple[Array, Array]:
+        """The same without inertia and weight."""
+        u, v, _ = local
+        f, forms = self.field, self.field.forms
+        rows = f.internal(u)
+        if forms.mass_damping:
+            rows += forms.mass_damping * f.mass(v[:, None])[:, 0]
         if forms.stiffness_damping:
             rows += forms.stiffness_damping * (f.tangent(v) - f.B.T @ (f.stiff * (f.B @ v)))
         return np.zeros(self.motions.n_twist), rows

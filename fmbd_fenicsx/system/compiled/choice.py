@@ -28,7 +28,7 @@ def use_driver(system: System) -> None:
 
 def driver_states(system: System) -> DriverStates | None:
     """The driver for states of a system, None where NumPy has to evaluate it."""
-    library = driver_of(twin_of(system).system)
+    library = None if any(part.weights is not None for _, part in system.fields) else driver_of(twin_of(system).system)
     if library is None:
         return None
 

@@ -116,7 +116,7 @@ class PlacedBodies:
         for body in sorted(moving, key=lambda b: b.stage):
             frame = self.frame_of[body.name] if body.framed else ground
             # parts stand in the order of their stages: replicated ones before fields
-            slides = [(s.wire, s.path) for s in self.scene.sliders.values() if s.wires is body]
+            slides = [(s.wire, s.motion) for s in self.scene.sliders.values() if s.wires is body]
             placed = body.placed(Site(frame, ground, self.used[body.name], slides, self._field))
             if placed is not None:
                 self._put_part(placed)

@@ -144,6 +144,13 @@ class CompiledAlphaStepper(CompiledSteps, AlphaStepper):
         found = self.driver.shut(states, weights, SHUT * self.system.length, CLOSINGS)
         return super()._all_shut(states) if found is None else found
 
+    def __copy__(self) -> CompiledAlphaStepper:
+        """What may go on from here when this one has made steps: it loads the driver anew."""
+        self._settle()
+        made = object.__new__(type(self))
+        made.__dict__.update(self.__dict__, _tail=None, _driven=False)
+        return made
+
     def _settle(self) -> None:
         """Give A and the past of the newest blocks to the NumPy path; they hold for the state with its time rounded too."""
         if self._ahead:

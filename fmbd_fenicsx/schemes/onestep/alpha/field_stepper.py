@@ -59,7 +59,9 @@ class FieldStepper(CompiledAlphaStepper):
     def _bound(self) -> bool:
         """Whether there is a driver with the solver's present factors, for the steps of this stepper."""
         solver = self.solver
-        if not solver.eliminates or not solver.blocks:
+        parts = (part for _, part in self.system.fields)
+        current = solver.blocks and all(b.in_use == part.in_use for b, part in zip(solver.blocks, parts, strict=True))
+        if not solver.eliminates or not current:
             return False
         tables = None if self._driver is None else self._driver.tables
         if tables is not None and tables.user is self and tables.blocks is solver.blocks:

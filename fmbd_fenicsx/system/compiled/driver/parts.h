@@ -21,6 +21,7 @@ PART void reduced_energies(const Body *o, const double *R, const double *q, cons
 PART void add_columns(const Body *o, const double *f, double *x);
 PART void field_rates(const Body *o, const double *v);
 PART void field_columns(const Body *o, const double *q, const double *v);
+PART int move_ports(System *s, double t);
 PART int field_force(System *s, int b, const double *q, const double *v, const double *a, double *f, double t);
 PART void frame_conditions(System *s, const Body *o, const double *lam);
 PART int field_block(System *s, const Body *o, const double *R, const double *q);

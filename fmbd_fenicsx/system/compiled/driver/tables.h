@@ -199,8 +199,11 @@ typedef struct {
     double *X;                         /* nodes x D, at rest */
     double *Q, *port;                  /* H: inertial x n columns of inertia, then the entries of columns of ports */
     int *port_start, *port_on;         /* by columns */
+    double *drift, placed_at;          /* of ports that move along the body: rates of their entries, NULL without; when, s */
     int *M_start, *M_column, *K_start, *K_column; /* by rows of nodes: scalars, D x D blocks */
     double *M, *K;                     /* K without stress */
+    NodeMatrix *masses;                /* M of nodes whose numbers are no places, in place of the scalars; NULL without; with */
+    double *weight;                    /* D x n: what gravity along each axis acts with on these */
     double alpha, beta;                /* 1/s, s: damping by the mass and by the stiffness */
     NodeMatrix *drag;                  /* of a viscous form, NULL without */
     int integrals;                     /* of internal forces that are not linear, and of loads on the deformed body */
@@ -478,7 +481,7 @@ typedef struct {
 /* What Python is asked for, and its answer where a body does not go: NumPy makes, or refuses, the step. */
 enum { SAMPLE, EFFORT, SLOPES, WRENCHES, SECTIONS, SECTION_SLOPES, WHOLE_SLOPES, FIELD, FIELD_FORCES, FIELD_ENERGIES,
        FIELD_TANGENTS, PART_FORCES, PART_ENERGIES, PART_TANGENTS, KEEP, EFFORTS, EFFORT_SLOPES,
-       FIELD_MEANS, EFFORT_MEANS, FREQUENCIES, FIELD_LOADS, PART_SLOPES, PART_POINTS,
+       FIELD_MEANS, EFFORT_MEANS, FREQUENCIES, FIELD_LOADS, PART_SLOPES, PART_POINTS, FIELD_PORTS,
        COLLOCATE, MEMORY_ERROR, LEAD_MEMORIES, LOOK_AT_END };
 enum { OUTSIDE = 2 };
 

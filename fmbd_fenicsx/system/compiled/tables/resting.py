@@ -91,7 +91,7 @@ class RestingField(FieldPart):
 
 
 class RestingPart:
-    """A replicated part on the ground, such as a line, in a frame at rest; all else is its own."""
+    """A part on the ground whose coordinates are no places, such as a line or wires, in a frame at rest; all else is its own."""
 
     def __init__(self, part: Any, frame: int) -> None:
         self.part, self.frame = part, frame
@@ -143,8 +143,8 @@ class RestingTwin(Twin):
 
         parts: list[Any] = list(system.parts)
         for i, (k, part) in enumerate(still):
-            parts[k] = RestingField(part, n + i) if part.distributed else RestingPart(part, n + i)
-        places = (part.field.center if part.distributed else np.zeros(m.dim) for _, part in still)
+            parts[k] = RestingField(part, n + i) if isinstance(part, AbsoluteField) else RestingPart(part, n + i)
+        places = (part.field.center if isinstance(part, AbsoluteField) else np.zeros(m.dim) for _, part in still)
         self._poses: Array = np.concatenate([m.pose(place) for place in places])
         self._twists: Array = np.zeros(len(still) * m.n_twist)
         names = (*system.frame_names, *(part.name for _, part in still))
@@ -189,14 +189,9 @@ class RestingTwin(Twin):
 
 
 def twin_of(system: System) -> Twin:
-    """The twin of a system that the driver knows."""
-    still = [(k, part) for k, part in enumerate(system.parts) if _lies_still(system, part)]
+    """The twin of a system that the driver knows: parts on the ground have frames at rest."""
+    still = [(k, part) for k, part in enumerate(system.parts) if part.frame == system.n_frames]
     return RestingTwin(system, still) if still else Twin(system)
-
-
-def _lies_still(system: System, part: Any) -> bool:
-    """Whether a part has a frame at rest in the twin: a replicated one on the ground, and an absolute field."""
-    return isinstance(part, AbsoluteField) if part.distributed else part.frame == system.n_frames
 
 
 def _wider(x: Array, at: int, more: Array) -> Array:

@@ -21,7 +21,8 @@ void keep_sample(const System *s, double *kept, int back)
 /* What depends on time only, at t; ``last``: whose sample stands where it belongs. */
 int sample(System *s, double t, double *last)
 {
-    if (!s->samples || t == *last) return DONE;
+    int verdict = s->fields ? move_ports(s, t) : DONE;
+    if (verdict || !s->samples || t == *last) return verdict;
     const long size = sample_size(s);
     for (int i = 0; s->recalls == ANEW && i < RECENT; i++) s->recent_at[i] = NAN;
     if (s->recalls) s->recalls = RECALLS;

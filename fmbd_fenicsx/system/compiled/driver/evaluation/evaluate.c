@@ -228,7 +228,9 @@ int acting(System *s, const double *lam, double t)
 /* Residuals of the balance (bodies' blocks, world axes) and open constraints at a state. */
 int evaluate(System *s, const double *q, const double *v, const double *a, const double *lam, double t)
 {
-    int verdict = place(s, q, v), looked;
+    int verdict = s->fields ? move_ports(s, t) : DONE, looked;
+    if (verdict) return verdict;
+    verdict = place(s, q, v);
     s->evaluations++;
     if (verdict) return verdict;
     looked = inertia(s, q, v, a, t);

@@ -113,8 +113,7 @@ static void take_residual(const Field *e, int part)
     memset(r, 0, e->wide * sizeof(double));
     add(r, -1.0, b, e->n);
     scaled(e, part, e->of_mass, e->n, x);
-    for (long i = 0; i < e->nodes; i++)
-        for (int k = e->M_start[i]; k < e->M_start[i + 1]; k++) add(r + D * i, e->M[k], x + D * e->M_column[k], D);
+    add_mass(e, x, r);
 
     for (int j = 0; !e->by_component && j < DAMPINGS; j++) {
         if (!e->damping[j]) continue;

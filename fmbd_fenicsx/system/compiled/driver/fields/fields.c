@@ -52,15 +52,41 @@ static void add_column(const Field *e, int k, double c, double *U)
 
 #include "fields/stiffened.c"
 
-/* F = M A by nodes */
-static void mass_times(const Field *e, const double *A, double *F)
+/* F += A (U + beta U') by nodes; each sum stays in registers until its row is done. */
+static void blocks_times(long nodes, const NodeMatrix *A, const double *U, const double *Ud, double beta, double *F)
 {
+    for (long i = 0; i < nodes; i++) {
+        double sum[D * D] = {0.0};
+        for (int k = A->start[i]; k < A->start[i + 1]; k++) {
+            const double *block = A->block + D * D * (long)k, *u = U + D * A->column[k], *ud = Ud + D * A->column[k];
+            for (int j = 0; j < D; j++)
+                for (int c = 0; c < D; c++) sum[D * j + c] += block[D * j + c] * (u[c] + beta * ud[c]);
+        }
+        for (int j = 0; j < D; j++)
+            for (int c = 0; c < D; c++) F[D * i + j] += sum[D * j + c];
+    }
+}
+
+/* F += M A by nodes */
+static void add_mass(const Field *e, const double *A, double *F)
+{
+    if (e->masses) {
+        blocks_times(e->nodes, e->masses, A, A, 0.0, F);
+        return;
+    }
     for (long i = 0; i < e->nodes; i++) {
         double sum[D] = {0.0};
         for (int k = e->M_start[i]; k < e->M_start[i + 1]; k++)
             for (int j = 0; j < D; j++) sum[j] += e->M[k] * A[D * e->M_column[k] + j];
-        memcpy(F + D * i, sum, sizeof sum);
+        add(F + D * i, 1.0, sum, D);
     }
+}
+
+/* F = M A by nodes */
+static void mass_times(const Field *e, const double *A, double *F)
+{
+    memset(F, 0, e->n * sizeof(double));
+    add_mass(e, A, F);
 }
 
 #include "fields/pressure.c"
@@ -109,7 +135,7 @@ static int nodal_force(System *s, const Body *o, const double *R, const Motion *
     int verdict = ask_loads(s, o->field, t);
     if (verdict || (held && (verdict = held_force(s, o, R, m, t)))) return verdict;
 
-    for (int i = 0; i < D; i++) free_[i] = accel[i] - gravity[i];
+    for (int i = 0; i < D; i++) free_[i] = e->weight ? 0.0 : accel[i] - gravity[i];
     transposed(R, free_, base);
     hat(w, W);
     product(W, W, L);
@@ -125,6 +151,7 @@ static int nodal_force(System *s, const Body *o, const double *R, const Motion *
             square += u * u;
         }
     mass_times(e, e->accel, e->force);
+    for (int j = 0; e->weight && j < D; j++) add(e->force, -gravity[j], e->weight + e->n * j, e->n);
 
     for (long i = 0; i < e->nodes; i++)
         for (int j = 0; j < D; j++) {
@@ -167,6 +194,21 @@ int field_force(System *s, int b, const double *q, const double *v, const double
     } else verdict = nodal_force(s, o, R, &m, s->gravity, f, t);
     if (rests(o)) memset(f, 0, TWIST * sizeof(double));
     return verdict;
+}
+
+/* Ports that move along bodies, where they are at a time, asked for once. */
+int move_ports(System *s, double t)
+{
+    for (const Body *o = s->body; o < s->body + s->bodies; o++) {
+        Field *e = o->field;
+        if (!e || !e->drift || e->placed_at == t) continue;
+        e->placed_at = NAN;
+        s->calls++;
+        const int told = s->python(FIELD_PORTS, e->number, t);
+        if (told) return told == OUTSIDE ? NEWTON : FAILED;
+        e->placed_at = t;
+    }
+    return DONE;
 }
 
 /* The open frame conditions, and their reactions C lambda on the nodes. */
@@ -225,7 +267,7 @@ void field_energies(System *s, int b, double t, const double *q, const double *v
     const Field *e = o->field;
     const double *R = s->frames + FRAME * b + TURN;
     Motion m = motion_of(o, b, q, v, v);
-    if (!e->own && !e->integrals) linear_energies(o, R, &m, gravity, out);
+    if (!e->own && !e->integrals && !e->weight) linear_energies(o, R, &m, gravity, out);
     else if (!tell(s, FIELD_ENERGIES, e->number, e->n, e->state, R, &m, gravity, t))
         for (int i = 0; i < 3; i++) out[i] += e->sums[i];
 }

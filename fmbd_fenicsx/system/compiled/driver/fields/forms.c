@@ -19,21 +19,6 @@ static void add_integral(const Integral *o, const double *const *moving, double 
     }
 }
 
-/* F += A (U + beta U') by nodes; each sum stays in registers until its row is done. */
-static void blocks_times(long nodes, const NodeMatrix *A, const double *U, const double *Ud, double beta, double *F)
-{
-    for (long i = 0; i < nodes; i++) {
-        double sum[D * D] = {0.0};
-        for (int k = A->start[i]; k < A->start[i + 1]; k++) {
-            const double *block = A->block + D * D * (long)k, *u = U + D * A->column[k], *ud = Ud + D * A->column[k];
-            for (int j = 0; j < D; j++)
-                for (int c = 0; c < D; c++) sum[D * j + c] += block[D * j + c] * (u[c] + beta * ud[c]);
-        }
-        for (int j = 0; j < D; j++)
-            for (int c = 0; c < D; c++) F[D * i + j] += sum[D * j + c];
-    }
-}
-
 /* F += K (U + beta U') of a linear field, with its pressure */
 static void stiffness_times(const Field *e, const double *U, const double *Ud, double beta, double *F)
 {

@@ -74,6 +74,8 @@ void field_columns(const Body *o, const double *q, const double *v)
     for (int k = 0; k < o->modes; k++) {
         e->p[k] = column(e, k, q + o->at_q);
         e->rates[k] = column(e, k, v + o->at_v);
+        for (int i = e->port_start[k - e->inertial]; e->drift && i < e->port_start[k - e->inertial + 1]; i++)
+            e->rates[k] += e->drift[i] * q[o->at_q + e->port_on[i]];
     }
     if (!stresses(e)) return;
 

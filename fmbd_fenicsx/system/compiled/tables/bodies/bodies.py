@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .....mechanics.bodies.port_constraint import PortConstraint
+from .....mechanics.catenary.sliding import HeadSide, WireSide
 from .....mechanics.elastic.second_order import SecondOrder
 from .....mechanics.rods.elements import RodElements
 from .....mechanics.validity import TOO_LARGE
@@ -152,7 +153,7 @@ def covers_bodies(system: System) -> bool:
     """Whether all bodies are known to the driver, with all that loads them."""
     known = all(_known_part(p) for p in system.parts)
     rods = all(isinstance(e, RodElements) for e in system.elements)
-    own = {type(law) for law, _ in system.port_constraints} <= {PortConstraint}
+    own = {type(law) for law, _ in system.port_constraints} <= {PortConstraint, WireSide, HeadSide}
     return known and rods and own and covers_ties(system) and system.n_frames > 0
 
 

@@ -33,22 +33,19 @@ class NodeBlocks:
 
 
 class FieldMatrices:
-    """Those of the field of part k; ``cache``: of the system."""
+    """Those of the field of part k by nodes with d numbers; ``cache``: of the system."""
 
-    def __init__(self, cache: dict[Any, Any], part: Any, k: int) -> None:
-        self.part, self.field, self._cache, self._key = part, part.field, cache, k
+    def __init__(self, cache: dict[Any, Any], part: Any, k: int, d: int) -> None:
+        self.part, self.field, self._cache, self._key, self._dim = part, part.field, cache, k, d
 
     def of_nodes(self) -> dict[str, np.ndarray]:
         """M and K without stress by rows of nodes."""
         cache, key = self._cache, ("rows of nodes", self._key)
         if key not in cache:
             field = self.field
-            start, columns, values = field.M.getValuesCSR()
-            K = NodeBlocks(field.stiffness_without_stress, field.dim)
-            cache[key] = {
-                "M_start": start.astype(np.int32), "M_column": columns.astype(np.int32), "M": values,
-                "K_start": K.start, "K_column": K.column, "K": K.block,
-            }  # fmt: skip
+            K = NodeBlocks(field.stiffness_without_stress, self._dim)
+            made = {"K_start": K.start, "K_column": K.column, "K": K.block}
+            cache[key] = made if self.part.weights is not None else made | _by_rows("M", field.M.copy())
         found: dict[str, np.ndarray] = cache[key]
         return found
 
@@ -67,7 +64,7 @@ class FieldMatrices:
         """Matrices times their factors, taken again after new tangents."""
         cache, key, field = self._cache, ("newest", name, self._key), self.field
         if key not in cache:
-            cache[key] = [-1, [NodeBlocks(A, field.dim) for _, A in matrices]]
+            cache[key] = [-1, [NodeBlocks(A, self._dim) for _, A in matrices]]
         known = cache[key]
         if known[0] != field.tangents:
             known[0] = field.tangents

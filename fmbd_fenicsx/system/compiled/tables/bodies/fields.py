@@ -15,10 +15,10 @@ from .....mechanics.elastic.field_part import FieldPart
 from .....mechanics.elastic.floating import FloatingField
 from .....mechanics.validity import TOO_LARGE
 from .....rotations import Array
-from ..resting import RestingField
+from ..resting import RestingField, RestingPart
 from ..structures import structure
 from .field_forces import FieldForces, told_in_c
-from .field_matrices import FieldMatrices, node_matrix
+from .field_matrices import FieldMatrices, NodeBlocks, node_matrix
 from .told import ToldMotion
 
 if TYPE_CHECKING:
@@ -33,13 +33,14 @@ ROUNDOFF = 1e-13  # the same where none of them gives way: against those without
 
 class Block(Protocol):
     """Factor and columns of a field for one size of a step: Y = E^-1 H and W = H^T Y of its inertia and of the ports
-    ``used``.
+    ``used``; ``in_use`` of the part.
     """
 
     factor: Any
     used: np.ndarray
     Y: Array
     W: Array
+    in_use: Any
 
 
 class FieldTable:
@@ -60,7 +61,7 @@ class FieldTable:
         self.told = not told_in_c(system.cache, k, self.part)  # whether Python tells its forces
         self.whole = self.told and self.part.stiffening is not None
         self.changes = self.turns or self.told  # matrices with the steps that were made
-        self.matrices = FieldMatrices(system.cache, self.part, k)
+        self.matrices = FieldMatrices(system.cache, self.part, k, tables.dim)
         self.forces_in_c = FieldForces(tables, self.part, k)
 
         first = system.port_slice(k).start
@@ -96,13 +97,14 @@ class FieldTable:
         if self.part.stiffening is not None or parts_of(block) != self.parts:
             return False
         same = block.Y.shape == self.block.Y.shape and self.part.inertia_columns.shape[1] == self.inertial
-        return same and np.array_equal(block.used, self.block.used)
+        return same and np.array_equal(block.used, self.block.used) and block.in_use == self.block.in_use
 
     def take(self, block: Block) -> None:
         """Go on with another factor, and with the inertia of the frame that goes with it."""
         self.block = block
         for name, values in self._of_tangent().items():
             self.of_tangent[name][...] = values
+        self.c.placed_at = np.nan
         self._lend()
 
     def _lend(self) -> None:
@@ -219,7 +221,7 @@ class FieldTable:
         store = tables.store
         n = self.part.n
         arrays = {
-            **self._columns_of_ports(), "X": field.X, "MX": field.mass(field.X), "T": np.eye(d),
+            **({} if part.moves_ports else self._columns_of_ports()), "X": field.X, "MX": field.mass(field.X), "T": np.eye(d),
             "asked": np.zeros(n + self.wide + d * d), "held_force": np.zeros(n), "held_sums": np.zeros(tables.twist),
             **{name: np.zeros(self.parts * self.count) for name in ("p", "rates", "pz", "rest", "f", "h")},
             **{name: np.zeros(n) for name in ("accel", "MU")},
@@ -245,6 +247,7 @@ class FieldTable:
             **{name: store.integers(x) if x.dtype == np.int32 else store.address(x) for name, x in arrays.items()},
             **{name: store.shared(x) for name, x in self.matrices.of_nodes().items()},
             **self._residual(), **self._stiffening(), **self.forces_in_c.members(),
+            **(self._moving_ports() if part.moves_ports else {}), **self._inertia(),
         )  # fmt: skip
 
         self._lend()
@@ -258,6 +261,15 @@ class FieldTable:
         made = [PETSc.Vec().createWithArray(x, comm=PETSc.COMM_SELF) for x in arrays]
         self.vectors += made
         return [x.handle for x in made]
+
+    def _inertia(self) -> dict[str, int]:
+        """Mass and weight of numbers that are no places."""
+        part, store = self.part, self.tables.store
+        if part.weights is None:
+            return {}
+        blocks = NodeBlocks(part.field.M, self.tables.dim)
+        store.kept.append(blocks)
+        return {"masses": store.structure(node_matrix(blocks, self.tables.dim)), "weight": store.address(part.weights)}
 
     def _residual(self) -> dict[str, int]:
         """Room for the residual of a solution, and for the change that it asks for where the pressure is an unknown."""
@@ -305,6 +317,28 @@ class FieldTable:
     def sway(self, corrected: bool) -> None:
         """Whether solutions correct moments on the frame that columns of inertia leave out, see ``driver/fields/condensed.c``."""
         self.c.sways = int(corrected and self.part.shared_columns)
+
+    def move(self, t: float) -> None:
+        """Ports that move, where they are at a time (s), and what follows from their columns."""
+        on, *entries = self.part.port_entries(self.ports, t)
+        for array, values in zip(self.moving, (on, *entries), strict=True):
+            array[:] = values.ravel()
+
+        factor, k = self.block.factor, self.solved
+        H = np.zeros((self.part.n, k))
+        H[on[:k], np.arange(k)[:, None]] = entries[0][:k]
+        Y = factor.solve_columns(H)
+        inverse = CondensedColumns(H.T @ Y, self.frame_slots, self.inertial)
+        self.of_tangent["S"][...], self.of_tangent["Y"][...] = inverse.S, Y.T
+
+    def _moving_ports(self) -> dict[str, int]:
+        """Room for the columns of ports that move; there are no others."""
+        on, port, drift = (self.part.port_entries(self.ports, 0.0)[i] for i in range(3))
+        store = self.tables.store
+        (on, at_on), (port, at_port), (drift, at_drift) = store.array(on, np.int32), store.array(port), store.array(drift)
+        self.moving = on.ravel(), port.ravel(), drift.ravel()
+        start = np.arange(len(self.ports) + 1) * on.shape[1]
+        return {"port": at_port, "drift": at_drift if len(on) else None, "port_on": at_on, "port_start": store.integers(start), "placed_at": np.nan}
 
     def _columns_of_ports(self) -> dict[str, np.ndarray]:
         """The columns of ports, of the body that is not bent."""
@@ -404,6 +438,6 @@ def _parts(c: complex) -> tuple[float, float]:
 
 def known_field(part: Any) -> bool:
     """Whether the driver takes a part with a field, floating or at rest: on one rank, of moderate size."""
-    if type(part) not in (FloatingField, RestingField) or (part.field.carried and address_of_solve() is None):
+    if type(part) not in (FloatingField, RestingField, RestingPart) or (part.field.carried and address_of_solve() is None):
         return False
     return part.comm.size == 1 and part.n <= FIELD_LIMIT  # type: ignore[no-any-return]

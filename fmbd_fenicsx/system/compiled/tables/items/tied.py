@@ -15,6 +15,7 @@ import numpy as np
 
 from .....mechanics.bodies.port_constraint import PortConstraint
 from .....mechanics.bodies.port_kind import formulas_of, points_of, port_kind
+from .....mechanics.catenary.sliding import HeadSide, WireSide
 from .....mechanics.frames import Markers
 from .....mechanics.joints.constraints import standstill
 from .....mechanics.joints.trace_rows import TiedSide, TraceRows
@@ -50,7 +51,11 @@ class TiedPoints:
         self._ports: list[np.ndarray] = []
         self.items = [self._rows(tie, np.arange(rows.start, rows.stop)) for tie, rows in system.traces]
         for law, rows in system.port_constraints:
-            self.items += self._own_rows(law, np.arange(rows.start, rows.stop))
+            if isinstance(law, PortConstraint):
+                self.items += self._own_rows(law, np.arange(rows.start, rows.stop))
+        heads = {rows.start: law for law, rows in system.port_constraints if isinstance(law, HeadSide)}
+        wires = [(law, rows) for law, rows in system.port_constraints if isinstance(law, WireSide)]
+        self.items += [self._sliding_row(law, heads[rows.start], np.arange(rows.start, rows.stop)) for law, rows in wires]
         if self.items:
             self.system = replace(system, markers=self._with_points(system.markers))
 
@@ -87,6 +92,27 @@ class TiedPoints:
         self._ports += list(ports)
         self.sees |= {first + j: SeenByTie(float(side.m[j]), side.s[j]) for j in range(n)}
         return first + np.arange(n), np.zeros((n, d))
+
+    def _sliding_row(self, wire: Any, head: Any, rows: np.ndarray) -> Items:
+        """The row of a contact that slides along a wire: between a point of the wire, (w, w_x), and one of the head, (y, y)."""
+        y = np.array([head.number, head.number])
+        ports = [(head.part, y)] if not wire.status.closed else [(head.part, y), (wire.part, wire.first + np.arange(2))]
+        points = [self._point(part, mine) for part, mine in ports]
+        if not wire.status.closed:
+            points.append(len(self.system.markers.frame) + len(self._frames))
+            self._frames.append(self.system.n_frames)  # the ground
+        constants: dict[str, Array] = {"e": np.array([[1.0, 0.0]]), "shift": np.zeros(1)}
+        made = Items(kinds(2)["tied"], ROW, np.array([points[::-1]]), constants, rows)
+        made.factor = np.ones(1)
+        return made
+
+    def _point(self, part: int, ports: np.ndarray) -> int:
+        """A point whose place are some ports (d,) of a part."""
+        number = len(self.system.markers.frame) + len(self._frames)
+        self._frames.append(self.system.parts[part].frame)
+        self._ports.append(self.system.port_slice(part).start + ports)
+        self.sees[number] = SeenByTie(1.0, np.zeros(len(ports)))
+        return number
 
     def _own_rows(self, law: PortConstraint, rows: np.ndarray) -> list[Items]:
         """The rows of a constraint on coordinates of one's own, which are those of points of the part."""
