@@ -223,8 +223,9 @@ class FieldBlocks:
             active[:first] = False  # the same columns as those of inertia
 
         # Whole vectors b_k: a corotated factor sees them rotated, so it needs every component.
-        points = active[first:].reshape(-1, self.system.motions.dim)
-        points[:] = points.any(axis=1)[:, None]
+        if part.weights is None:
+            points = active[first:].reshape(-1, self.system.motions.dim)
+            points[:] = points.any(axis=1)[:, None]
         return np.flatnonzero(active)
 
     def _factor(self, part: DistributedPart, matrix: FieldMatrix) -> FieldFactor:

@@ -18,7 +18,7 @@ import scipy.linalg as sl
 
 from ...rotations import Array
 from ..residual import Judge
-from .spd import CholeskyFactor, FieldFactor
+from .spd import CholeskyFactor, FieldFactor, InC
 
 KEPT = 3  # factors for different ratios cm : ck, beside those in use
 
@@ -55,7 +55,7 @@ class SlackFactor(FieldFactor):
         self.how = self.base.how
         self.judge = Judge(f'the wires of body "{field.name}"')
         self.field, self.weights = field, (cm, ck)
-        self.B, self.Y = field.B[slack], Y[:, slack]
+        self.slack, self.B, self.Y = slack, field.B[slack], Y[:, slack]
 
         self.push = ck * field.stiff[slack]
         self.small = None
@@ -70,6 +70,10 @@ class SlackFactor(FieldFactor):
         if self.small is not None:
             z = z + self.Y @ sl.lu_solve(self.small, self.B @ z)
         return self._judged(z, b)
+
+    def in_c(self) -> InC | None:
+        """As that of the taut wires, where none is slack."""
+        return None if self.slack.size else self.base.in_c()
 
     def solve_columns(self, H: Array) -> Array:
         """(1) for columns (n, k)."""

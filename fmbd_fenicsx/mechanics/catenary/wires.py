@@ -236,14 +236,20 @@ class WiresPart(FieldPart):
         self._chosen = False
 
     def _see(self, u: Array) -> bool:
-        N, full = self.field.tension(u)
-        # a dropper is slack where it would have to push
-        slack = np.flatnonzero(full != N)
-        if np.array_equal(slack, self.slack):
+        if not self.switched(u):
             return False
-        self.slack = slack
+        self.slack = self._slack_at(u)
         self._tangents += 1
         return True
+
+    def _slack_at(self, u: Array) -> np.ndarray:
+        N, full = self.field.tension(u)
+        # a dropper is slack where it would have to push
+        return np.flatnonzero(full != N)
+
+    def switched(self, u: Array) -> bool:
+        """Whether other droppers are slack than in the tangent."""
+        return not np.array_equal(self._slack_at(u), self.slack)
 
     @property
     def tangent_version(self) -> int:
@@ -284,7 +290,7 @@ class WiresPart(FieldPart):
         return np.reshape(columns, (len(used), self.n)).T
 
     def port_entries(self, ports: np.ndarray, t: float) -> tuple[np.ndarray, Array, Array]:
-        """Entries (k, 4) of columns of :meth:`port_force` for the values w and slopes w_x among the ports: unknowns, values, and
+        """Entries (k, 4) of columns of :meth:`port_force` for values w and slopes w_x among the ports: unknowns, values, and
         rates of these as the ports move, 1/s.
         """
         tables = self._tables(t)

@@ -204,6 +204,7 @@ typedef struct {
     double *M, *K;                     /* K without stress */
     NodeMatrix *masses;                /* M of nodes whose numbers are no places, in place of the scalars; NULL without; with */
     double *weight;                    /* D x n: what gravity along each axis acts with on these */
+    int switched;                      /* whether one-sided springs are other ones at the forces told last than in the tangent */
     double alpha, beta;                /* 1/s, s: damping by the mass and by the stiffness */
     NodeMatrix *drag;                  /* of a viscous form, NULL without */
     int integrals;                     /* of internal forces that are not linear, and of loads on the deformed body */

@@ -257,7 +257,8 @@ static void linear_energies(const Body *o, const double *R, const Motion *m, con
 
     out[0] += 0.5 * kinetic;
     out[1] += 0.5 * elastic;
-    out[2] -= o->mass * dot(m->pose, gravity, D) + dot(world, gravity, D);
+    if (e->weight) for (int j = 0; j < D; j++) out[2] -= gravity[j] * long_dot(e->weight + e->n * j, U, e->n);
+    else out[2] -= o->mass * dot(m->pose, gravity, D) + dot(world, gravity, D);
 }
 
 /* The same for every field; frames are placed. */
@@ -267,7 +268,7 @@ void field_energies(System *s, int b, double t, const double *q, const double *v
     const Field *e = o->field;
     const double *R = s->frames + FRAME * b + TURN;
     Motion m = motion_of(o, b, q, v, v);
-    if (!e->own && !e->integrals && !e->weight) linear_energies(o, R, &m, gravity, out);
+    if (!e->own && !e->integrals) linear_energies(o, R, &m, gravity, out);
     else if (!tell(s, FIELD_ENERGIES, e->number, e->n, e->state, R, &m, gravity, t))
         for (int i = 0; i < 3; i++) out[i] += e->sums[i];
 }

@@ -321,6 +321,16 @@ static int begin_anew(System *s, double *p, AlphaStep *k)
     return prepare(s, s->q, k->damp, k->scale, out.lam, 0, k->t);
 }
 
+/* New tangents of fields whose one-sided springs are others where the iterate was evaluated: Newton's own matrix there. */
+static int take_switched(System *s, AlphaStep *k)
+{
+    int switched = 0;
+    for (int b = 0; s->fields && b < s->bodies; b++) switched |= s->body[b].field && s->body[b].field->switched;
+    if (!switched || k->touching) return DONE;
+    k->far = 1;
+    return take_tangents(s, k->xi, 0, k->t);
+}
+
 /* Whether an increment of bodies with an energy has grown, as ``grew`` of schemes/newton.py. */
 static int grew(const System *s, const AlphaStep *k)
 {
@@ -336,7 +346,7 @@ static int iterate(System *s, double *p, AlphaStep *k)
 
     while (!converged) {
         if (k->done == most) return NEWTON;
-        if ((verdict = evaluate_end(s, p, k))) return verdict;
+        if ((verdict = evaluate_end(s, p, k)) || (verdict = take_switched(s, k))) return verdict;
         if ((verdict = linearise(s, p, k))) return verdict;
         if ((verdict = solve(s, k))) return verdict;
         take(s, p, k);

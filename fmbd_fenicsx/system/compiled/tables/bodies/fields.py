@@ -167,6 +167,7 @@ class FieldTable:
         motion, _, local = self.motion.at(t)
         told = self.part.force if self.whole else self.part.held_force
         self.sums[:], self.force[: self.part.n] = told(motion, local)
+        self.c.switched = int(self.part.switched(local[0]))
         if self.part.field.carried:
             self.gap[:] = self.part.field.volume_gap(local[0])
 

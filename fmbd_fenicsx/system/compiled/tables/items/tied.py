@@ -94,10 +94,9 @@ class TiedPoints:
         return first + np.arange(n), np.zeros((n, d))
 
     def _sliding_row(self, wire: Any, head: Any, rows: np.ndarray) -> Items:
-        """The row of a contact that slides along a wire: between a point of the wire, (w, w_x), and one of the head, (y, y)."""
-        y = np.array([head.number, head.number])
-        ports = [(head.part, y)] if not wire.status.closed else [(head.part, y), (wire.part, wire.first + np.arange(2))]
-        points = [self._point(part, mine) for part, mine in ports]
+        """The row of a contact that slides along a wire: between a point of the wire, (w, w), and one of the head, (y, y)."""
+        ports = [(head.part, head.number)] + [(wire.part, wire.first)] * wire.status.closed
+        points = [self._point(part, np.full(2, mine)) for part, mine in ports]
         if not wire.status.closed:
             points.append(len(self.system.markers.frame) + len(self._frames))
             self._frames.append(self.system.n_frames)  # the ground
