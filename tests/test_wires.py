@@ -149,7 +149,8 @@ def test_steps_under_a_contact_are_made_in_parts(monkeypatch: pytest.MonkeyPatch
     pan = fmbd.CoordinateBody("pan", np.diag([2.0, 1.0]), lambda q, v, t: np.array([50.0, 0.0]), np.zeros(2))
     scene = fmbd.Scene("bounce", settle=True)
     scene.add(wires, pan, fmbd.SlidingContact("c", wires, pan, start=10.0, idle=1))
-    run = fmbd.solve(scene, t_end=0.02, dt=1e-3, scheme=fmbd.Unilateral(fmbd.GeneralizedAlpha(0.6)))
+    scheme = fmbd.Unilateral(fmbd.GeneralizedAlpha(0.6, compiled=False))
+    run = fmbd.solve(scene, t_end=0.02, dt=1e-3, scheme=scheme)
     assert run.counters["halved_steps"] and run.times == pytest.approx(np.linspace(0.0, 0.02, 21), abs=1e-12)
 
 
@@ -246,3 +247,83 @@ def test_factors_in_use_are_not_freed() -> None:
     SlackFactor(field, 2.0, 1e-6, none)
     assert len(field.factors) == KEPT
     field.destroy()
+
+
+def sliding(case: str) -> fmbd.Scene:
+    """Two heads that slide along a wire under another one: held, with one that is pulled off (``lost``), or pushed so that
+    droppers go ``slack``.
+    """
+    scene = fmbd.Scene(case, gravity=(0, -9.81), settle=True)
+    droppers = tuple(fmbd.Dropper(1, 0, x, 1e5) for x in (5.0, 10.0, 15.0)) if case == "slack" else ()
+    wires = fmbd.Wires("w", 20.0, 40, (WIRE, fmbd.Wire(1.07, 16e3, 130.0)), (), droppers, 0.01, 1e-4)
+    wires = wires.hung(0.01) if droppers else wires
+    scene.add(wires)
+    push = 300.0 if case == "slack" else 20.0
+    for name, start, pull in (("first", 2.0, 0.0), ("second", 8.0, 600.0 if case == "lost" else 0.0)):
+
+        def force(q: Any, v: Any, t: Any, pull: float = pull) -> Any:
+            pushed = 90.0 + push * np.sin(40 * t) - pull * (0.02 < t < 0.05)
+            return np.array([pushed - 300 * v[0] - 1000 * q[0], 0.0])
+
+        head = fmbd.CoordinateBody(name, np.diag([5.0, 1.0]), force, np.zeros(2))
+        scene.add(head, fmbd.SlidingContact(f"on {name}", wires, head, start=start, speed=20.0, ramp=0.1, idle=1))
+        scene.sensor(f"force {name}", fmbd.reaction(f"on {name}"))
+    scene.sensor("w", fmbd.wire_height(wires, 0, [5.0, 12.0]))
+    scene.sensor("droppers", fmbd.dropper_forces(wires))
+    return scene
+
+
+@pytest.mark.parametrize(
+    ("case", "form"),
+    [("held", fmbd.GGL()), ("lost", fmbd.Index3()), ("lost", fmbd.GGL()), ("slack", fmbd.Index3())],
+    ids=["held, GGL", "lost, index 3", "lost, GGL", "slack, index 3"],
+)
+def test_compiled_steps_of_wires_are_those_of_numpy(case: str, form: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two heads on one wire, contact that is lost and found, and slack droppers."""
+    made, advance = [0], AlphaStepper.advance
+
+    def counted(self: AlphaStepper, h: float) -> State:
+        made[0] += 1
+        return advance(self, h)
+
+    monkeypatch.setattr(AlphaStepper, "advance", counted)
+    runs = []
+    for compiled in (False, True):
+        made[0] = 0
+        scheme: Any = fmbd.GeneralizedAlpha(0.5, form=form, compiled=compiled)
+        scheme = fmbd.Unilateral(scheme) if case == "lost" else scheme
+        runs.append(fmbd.solve(sliding(case), t_end=0.15, dt=1e-3, scheme=scheme))
+    numpys, compiled = runs
+    changes = sum(compiled.counters.get(f"contact {x}", 0) for x in ("lost", "found"))
+    assert made[0] <= changes + 1 and (changes > 0) == (case == "lost")
+    for counter in ("newton_iterations", "contact lost", "contact found"):
+        assert compiled.counters.get(counter) == numpys.counters.get(counter)
+    assert (numpys["droppers"] == 0.0).any() == (case == "slack")
+    assert compiled["w"] == pytest.approx(numpys["w"], rel=1e-12, abs=1e-13)
+    assert compiled["droppers"] == pytest.approx(numpys["droppers"], rel=1e-12, abs=1e5 * 1e-13)
+    for name in ("force first", "force second"):  # of roundoff of places over the square of a step
+        assert compiled[name] == pytest.approx(numpys[name], rel=1e-12, abs=1e-15 * 5.0 / 1e-3**2)
+
+
+def test_moving_force_on_a_beam_under_tension() -> None:
+    """F slides with v along a hinged beam at rest: w = sum q_n sin(k_n x), W_n = k_n v < omega_n,
+
+    q_n = 2 F / (mu L (omega_n^2 - W_n^2)) (sin W_n t - W_n / omega_n sin omega_n t).
+    """
+    L, v, F = 20.0, 40.0, 100.0
+    wires = fmbd.Wires("w", L, 40, (WIRE,), anchor=1e12)
+    strip = fmbd.CoordinateBody("strip", np.eye(1) * 1e-6, lambda q, v, t: np.array([F]), np.zeros(1))
+    scene = fmbd.Scene("moving force")
+    scene.add(wires, strip, fmbd.SlidingContact("c", wires, strip, speed=v))
+    scene.sensor("w", fmbd.wire_height(wires, 0, [6.0, 12.0]))
+    errors = []
+    for dt in (1e-3, 5e-4):
+        run = fmbd.solve(scene, t_end=0.4, dt=dt, scheme=fmbd.GeneralizedAlpha(0.8))
+        assert run.counters["compiled_steps"] == run.counters["steps"]
+        k = np.pi / L * np.arange(1, 200)
+        omega, W = k * np.sqrt((WIRE.tension + WIRE.bending * k**2) / WIRE.mass), k * v
+        t = run.times[:, None]
+        modes = 2 * F / (WIRE.mass * L * (omega**2 - W**2)) * (np.sin(W * t) - W / omega * np.sin(omega * t))
+        exact = modes @ np.sin(np.outer(k, [6.0, 12.0]))
+        errors.append(np.abs(run["w"] - exact).max() / np.abs(exact).max())
+    assert errors[1] < 2.5e-3 and errors[0] > 2.0 * errors[1]

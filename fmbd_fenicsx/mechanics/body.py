@@ -26,7 +26,7 @@ FASTEST = 1e100  # m/s, rad/s: squares of more are no numbers
 class Site:
     """Where the part of a body goes: numbers of its ``frame`` and of the ``ground``, names of its ``surfaces`` in use.
 
-    ``slides``: what slides along its wires, (wire, function t -> x, x', x''). ``field``: makes the elastic field of a body for a scene.
+    ``slides``: what slides along its wires, (wire, t -> x, x', x''). ``field``: makes the elastic field of a body for a scene.
     """
 
     frame: int

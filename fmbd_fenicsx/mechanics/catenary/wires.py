@@ -195,6 +195,7 @@ class WiresPart(FieldPart):
     PORTS = 4
     moves_ports = True
     stiffening = None
+    weights: Array
     slack: np.ndarray  # numbers of the droppers that the tangent leaves out
 
     def __init__(self, body: Wires, frame: int, sliders: Sequence[tuple[int, Any]]) -> None:

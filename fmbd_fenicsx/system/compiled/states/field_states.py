@@ -28,6 +28,7 @@ class Unsolved:
     W: Array
     Y: Array
     factor: Any = field(default=None)
+    in_use: Any = 0
 
 
 def unsolved(part: Any) -> Unsolved:

@@ -20,14 +20,15 @@ class NodeBlocks:
 
     def __init__(self, A: Any, d: int) -> None:
         start, columns, values = A.getValuesCSR()
-        blocks = sp.csr_matrix((np.arange(len(values)), columns, start)).tobsr((d, d))
+        # numbers of the entries, those that the matrix lacks are the last: zero
+        blocks = sp.csr_matrix((1 + np.arange(len(values)), columns, start)).tobsr((d, d))
         self.start, self.column = blocks.indptr.astype(np.int32), blocks.indices.astype(np.int32)
-        self._places = blocks.data
-        self.block: Array = values[self._places]
+        self._places = blocks.data - 1
+        self.block: Array = np.append(values, 0.0)[self._places]
 
     def follow(self, A: Any, factor: float = 1.0) -> None:
         """Take the values of another matrix with the same places."""
-        self.block[:] = A.getValuesCSR()[2][self._places]
+        self.block[:] = np.append(A.getValuesCSR()[2], 0.0)[self._places]
         if factor != 1.0:
             self.block *= factor
 

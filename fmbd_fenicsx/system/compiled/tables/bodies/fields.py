@@ -83,6 +83,7 @@ class FieldTable:
         self.c: Any = None  # the structure
         self.vectors: list[Any] = []  # PETSc's, on b and z
         self.indefinite = False
+        self.moving: tuple[np.ndarray, ...] = ()  # columns of ports that move: places, entries and rates of these
         self.of_tangent: dict[str, Array] = {}  # likewise, what changes with the tangent
         # of the factors in use, which sizes of steps come back to, and other tables
         self._condensed: dict[int, tuple[Array, CondensedColumns]] = system.cache.setdefault(("condensed", k), {})
@@ -325,21 +326,21 @@ class FieldTable:
         for array, values in zip(self.moving, (on, *entries), strict=True):
             array[:] = values.ravel()
 
-        factor, k = self.block.factor, self.solved
+        k = self.solved
         H = np.zeros((self.part.n, k))
         H[on[:k], np.arange(k)[:, None]] = entries[0][:k]
-        Y = factor.solve_columns(H)
+        Y = self.block.factor.solve_columns(H)
         inverse = CondensedColumns(H.T @ Y, self.frame_slots, self.inertial)
         self.of_tangent["S"][...], self.of_tangent["Y"][...] = inverse.S, Y.T
 
-    def _moving_ports(self) -> dict[str, int]:
+    def _moving_ports(self) -> dict[str, int | float]:
         """Room for the columns of ports that move; there are no others."""
-        on, port, drift = (self.part.port_entries(self.ports, 0.0)[i] for i in range(3))
-        store = self.tables.store
-        (on, at_on), (port, at_port), (drift, at_drift) = store.array(on, np.int32), store.array(port), store.array(drift)
-        self.moving = on.ravel(), port.ravel(), drift.ravel()
-        start = np.arange(len(self.ports) + 1) * on.shape[1]
-        return {"port": at_port, "drift": at_drift if len(on) else None, "port_on": at_on, "port_start": store.integers(start), "placed_at": np.nan}
+        store, (on, values, rates) = self.tables.store, self.part.port_entries(self.ports, 0.0)
+        places, port, drift = store.array(on.ravel(), np.int32), store.array(values.ravel()), store.array(rates.ravel())
+        self.moving = places[0], port[0], drift[0]
+        start = store.integers(np.arange(len(on) + 1) * on.shape[1])
+        moves = {"drift": drift[1], "placed_at": np.nan} if len(on) else {}
+        return {"port": port[1], "port_on": places[1], "port_start": start, **moves}
 
     def _columns_of_ports(self) -> dict[str, np.ndarray]:
         """The columns of ports, of the body that is not bent."""
@@ -439,6 +440,8 @@ def _parts(c: complex) -> tuple[float, float]:
 
 def known_field(part: Any) -> bool:
     """Whether the driver takes a part with a field, floating or at rest: on one rank, of moderate size."""
-    if type(part) not in (FloatingField, RestingField, RestingPart) or (part.field.carried and address_of_solve() is None):
+    if type(part) not in (FloatingField, RestingField, RestingPart) or (
+        part.field.carried and address_of_solve() is None
+    ):
         return False
     return part.comm.size == 1 and part.n <= FIELD_LIMIT  # type: ignore[no-any-return]

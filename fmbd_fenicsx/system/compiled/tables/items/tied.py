@@ -55,7 +55,9 @@ class TiedPoints:
                 self.items += self._own_rows(law, np.arange(rows.start, rows.stop))
         heads = {rows.start: law for law, rows in system.port_constraints if isinstance(law, HeadSide)}
         wires = [(law, rows) for law, rows in system.port_constraints if isinstance(law, WireSide)]
-        self.items += [self._sliding_row(law, heads[rows.start], np.arange(rows.start, rows.stop)) for law, rows in wires]
+        self.items += [
+            self._sliding_row(law, heads[rows.start], np.arange(rows.start, rows.stop)) for law, rows in wires
+        ]
         if self.items:
             self.system = replace(system, markers=self._with_points(system.markers))
 
