@@ -16,9 +16,10 @@ from typing import Any
 import numpy as np
 import scipy.linalg as sl
 
+from ...fem.factors.factor import InC
 from ...rotations import Array
 from ..residual import Judge
-from .spd import CholeskyFactor, FieldFactor, InC
+from .spd import CholeskyFactor, FieldFactor
 
 KEPT = 3  # factors for different ratios cm : ck, beside those in use
 
