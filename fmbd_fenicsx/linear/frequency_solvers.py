@@ -133,6 +133,13 @@ class FrequencySolvers(Remembering):
         return float(self.anchor * 10.0 ** (places / DECADE))
 
 
+def often(sizes: Array) -> Array:
+    """The sizes of all steps to come (k,), s, that come so often that their frequencies get factors."""
+    near = np.sort(sizes)
+    first = np.flatnonzero(np.append(True, np.diff(near) > SAME * near[1:]))
+    return near[first[np.diff(np.append(first, len(near))) > SETTLED]]
+
+
 def _sparse_blocks(system: System) -> bool:
     """Whether all elastic blocks are sparse matrices on one rank, with few entries."""
     parts = [part for _, part in system.fields]

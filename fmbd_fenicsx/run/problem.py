@@ -127,7 +127,7 @@ def make_stepper(
     watch = Watch(system, made.state) if guarded else None
     # a scheme with error control makes its steps smaller by itself
     if schedule.given:
-        cast("OwnMarch", made).control.given = True
+        cast("OwnMarch", made).take_given(schedule.given_sizes)
     if not schedule.steps:
         return made if watch is None else Guarded(made, watch)
 

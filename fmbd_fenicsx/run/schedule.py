@@ -19,6 +19,7 @@ import numpy as np
 from ..checks import number
 from ..errors import InputError, require
 from ..log import log
+from ..rotations import Array
 from ..schemes.declared import Declared
 from ..system.scene.scene import Scene
 
@@ -102,6 +103,11 @@ class StepSchedule:
             return None
         sizes = tuple(float(f"{x:.12g}") for x in ([self.span / self.steps] if not self.stops else self._sizes))
         return sizes[0] if not self.stops else tuple(sorted({float(f"{x:.9g}") for x in sizes}))
+
+    @property
+    def given_sizes(self) -> Array:
+        """Of steps that end at stops and marks alone, s."""
+        return np.diff(sorted({self.begin, *self.stops, *self.marks, self.t_end}))
 
     @property
     def span(self) -> float:

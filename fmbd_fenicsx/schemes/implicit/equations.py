@@ -69,6 +69,9 @@ class Equations(Remembering):
         """The frequencies (1/s) that have factors, as bdf.c has them; none: any one has."""
         return {}
 
+    def expect(self, s: Array) -> None:
+        """Frequencies s (p,) come often: where factors are kept they get their own at once."""
+
     def metric_of(self, h: float, s: Array) -> Weights:
         """The matrix of a step of h (s) for frequencies s (p,), in which motions are least that do not bend what is stiff."""
         return Weights(1.0, h, h * h)

@@ -124,7 +124,7 @@ class FieldEquations(Equations):
         return {"anchor": self.solvers.anchor or 0.0, "places_of_decade": DECADE}
 
     def expect(self, s: Array) -> None:
-        """Frequencies s (p,) get factors of their own at once."""
+        """As :meth:`Equations.expect`."""
         self.solvers.settles = True
         self.solvers.expect(s)
 

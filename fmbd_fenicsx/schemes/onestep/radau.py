@@ -25,6 +25,7 @@ import numpy as np
 
 from ...errors import require
 from ...linear.condensation import StepSolver
+from ...linear.frequency_solvers import often
 from ...rotations import Array
 from ...system.compiled.implicit import WORK, ImplicitRoom
 from ...system.compiled.march import March
@@ -124,6 +125,12 @@ class RadauStepper(ImplicitStepper):
     def _begin_from(self, state: State) -> None:
         super()._begin_from(state)
         self.mult, self._last, self.control.h_old = self.eq.multipliers(state), None, 0.0
+
+    def take_given(self, sizes: Array) -> None:
+        """As :meth:`OwnMarch.take_given`: those that come often have factors from their first step on."""
+        super().take_given(sizes)
+        for h in often(sizes):
+            self.eq.expect(self._frequencies(h))
 
     @property
     def _turning(self) -> int:
