@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 from dae_problems import pendulum, torqued_links
-from tolerance_scenes import MESHES, geared_chain
+from tolerance_scenes import MESHES, elastic_pendulum, geared_chain
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError
+from fmbd_fenicsx.linear.frequency_solvers import SETTLED
 from fmbd_fenicsx.materials import linear_elastic
 from fmbd_fenicsx.run.accuracy import companion_runs, larger_steps
 from fmbd_fenicsx.run.accuracy.equal_steps import compare_steps
@@ -25,6 +26,7 @@ from fmbd_fenicsx.run.single_run import Solved, Task, run_once
 from fmbd_fenicsx.schemes.control import StepControl
 from fmbd_fenicsx.schemes.marching import MarchingStepper
 from fmbd_fenicsx.schemes.newton import Newton
+from fmbd_fenicsx.schemes.onestep.radau import RadauStepper
 
 
 def made_by(scheme: Any, scene: fmbd.Scene) -> Solved:
@@ -190,3 +192,19 @@ def test_few_steps_of_a_scheme_that_changes_its_order_are_not_made_larger() -> N
     """They are those of its start, and not of its mean order: three times the error was told."""
     assert two_in_one(made_by(fmbd.BDF(rtol=1e-5), pendulum())) is None
     assert two_in_one(made_by(fmbd.BDF(rtol=1e-7), pendulum())) is not None
+
+
+def test_given_steps_of_elastic_bodies_have_factors_where_their_size_comes_often(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """From the first one on: Python made the first four of each size, which took longer than all others."""
+    solved = made_by(fmbd.Radau(2, rtol=1e-4), elastic_pendulum())
+    sizes = in_one(solved.compared, 2).given_sizes
+    rare = [h for h in sizes if np.isclose(sizes, h, rtol=1e-6, atol=0.0).sum() <= SETTLED]
+    in_python: list[float] = []
+    in_parts = RadauStepper._controlled
+    monkeypatch.setattr(
+        RadauStepper, "_controlled", lambda self, limit: (in_python.append(self.state.t), in_parts(self, limit))[1]
+    )
+    assert with_larger_steps(solved.problem, solved.compared, 2) is not None
+    assert len(in_python) <= 1 + len(rare) < 0.2 * len(sizes)  # the first one, whose size nobody proposes
