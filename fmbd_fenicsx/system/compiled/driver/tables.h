@@ -34,7 +34,7 @@ enum { ON_ITS_OWN, FIRST, FOLLOWING, AGAIN };              /* evaluations: of a 
 enum { RECENT = 8 };                                       /* samples that are kept, and whether they hold; ANEW: from now on */
 enum { FORGETS, RECALLS, ANEW };
 enum { LINE = 5, MOST_POINTS = 7 };                                      /* s, s', N, dN/ds and dN/ds' where Newton's iteration was last */
-enum { DIRECTIONS = 32, CLOSING = 6 + 2 * DIRECTIONS };      /* that a further one is conjugate to; room for close_softened() */
+enum { CONJUGATE = 32, CLOSING = 6 + 2 * CONJUGATE };       /* directions that a further one is conjugate to; room for close_softened() */
 enum { GOES_ON, CONVERGED, DIVERGED, TOO_SLOW };           /* outcomes of Newton's iteration of an implicit step */
 enum { ALPHA, RATTLE, RUNGE_KUTTA, HALF_EXPLICIT, MEANS, RADAU, BDF, THETA_RULE }; /* schemes that make many steps in one call, see march.c */
 

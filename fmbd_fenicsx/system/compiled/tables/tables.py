@@ -35,7 +35,7 @@ from .sights import reaction_of, seen_places
 from .structures import SECANTS, array_of, structure
 
 MOTIONS = "motion", "motion_rate", "motion_second"  # of rows: s, s' and s'' of what is prescribed
-CLOSING = enumeration("DIRECTIONS")["CLOSING"]
+CLOSING = enumeration("CONJUGATE")["CLOSING"]
 LINKS_LIMIT = 1_000_000  # entries of the rows of efforts that answer to more than their own coordinate
 
 

@@ -26,8 +26,8 @@ static void closed_share(const Softened *o, const double *y, double *closed)
 static void close_faint(const Softened *o, const double *z, const double *first, const double *asked, double *y)
 {
     const int m = o->n;
-    double *open = o->room, *found = open + m, *left = found + m, *directions = o->room + 6 * m, *images = directions + DIRECTIONS * m;
-    double *p = directions, *q = images, sizes[DIRECTIONS];
+    double *open = o->room, *found = open + m, *left = found + m, *directions = o->room + 6 * m, *images = directions + CONJUGATE * m;
+    double *p = directions, *q = images, sizes[CONJUGATE];
     const double enough = LEFT_FAINT * LEFT_FAINT * force_product(o, first, first);
 
     memcpy(p, first, m * sizeof(double));
@@ -36,7 +36,7 @@ static void close_faint(const Softened *o, const double *z, const double *first,
     memcpy(left, z, m * sizeof(double));
 
     for (int k = 0; k < m; k++) {
-        const double size = sizes[k % DIRECTIONS] = force_product(o, q, q);
+        const double size = sizes[k % CONJUGATE] = force_product(o, q, q);
         if (!(size > LEAST_CLOSED * LEAST_CLOSED * force_product(o, p, p))) break;
 
         const double step = force_product(o, left, q) / size;
@@ -46,12 +46,12 @@ static void close_faint(const Softened *o, const double *z, const double *first,
 
         /* the next direction A p = q, freed of those before, with its image */
         const double *image = q;
-        p = directions + (k + 1) % DIRECTIONS * m, q = images + (k + 1) % DIRECTIONS * m;
+        p = directions + (k + 1) % CONJUGATE * m, q = images + (k + 1) % CONJUGATE * m;
         memcpy(p, image, m * sizeof(double));
         closed_share(o, p, q);
-        for (int j = k; j >= 0 && j + DIRECTIONS > k + 1; j--) {
-            const double *other = images + j % DIRECTIONS * m, along = force_product(o, q, other) / sizes[j % DIRECTIONS];
-            add(p, -along, directions + j % DIRECTIONS * m, m);
+        for (int j = k; j >= 0 && j + CONJUGATE > k + 1; j--) {
+            const double *other = images + j % CONJUGATE * m, along = force_product(o, q, other) / sizes[j % CONJUGATE];
+            add(p, -along, directions + j % CONJUGATE * m, m);
             add(q, -along, other, m);
         }
     }
