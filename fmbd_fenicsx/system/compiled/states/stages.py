@@ -18,7 +18,7 @@ from .evaluation import DriverStates
 from .stage_patterns import StageStructure
 
 SIZE = enumeration("DONE")["SIZE"]  # a verdict: no room
-CLOSING = enumeration("DIRECTIONS")["CLOSING"]
+CLOSING = enumeration("CONJUGATE")["CLOSING"]
 ENDINGS = enumeration("MOST_STAGES")["ENDINGS"]  # of steps that rates are made of, at most
 FILLED = 4  # entries of L, and of U, over those of K, that there is room for at first
 
