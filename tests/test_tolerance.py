@@ -206,6 +206,25 @@ def test_a_narrow_peak_of_an_error_is_seen() -> None:
     assert true <= 3e-4 * np.ptp(run["x"]) and 0.5 < run.certificate["x"].total / true < 3.0
 
 
+def in_resonance() -> fmbd.Scene:
+    """A mass on a spring at 20 rad/s, excited by a force of its own frequency."""
+    body = fmbd.RigidBody("mass", 1.0, 1.0, (0.0, 0.0))
+    rail = fmbd.prismatic("rail", fmbd.ground, body, axis=(1, 0), center=(0, 0))
+    scene = fmbd.Scene("in resonance")
+    scene.add(body, rail, fmbd.joint_spring("spring", fmbd.displacement(rail), stiffness=400.0))
+    scene.add(fmbd.force("push", body, lambda t: (np.cos(20.0 * t), 0.0)))
+    scene.sensor("mass", fmbd.position(body))
+    return scene
+
+
+@pytest.mark.parametrize("tol", [5e-2, 0.12])
+def test_a_motion_that_no_other_steps_show_is_not_good_enough(tol: float) -> None:
+    """64 periods in 100 steps move by 0.02 m, of 1 m, and state 0.013 m: less than the tolerance, and the truth is 0.5 m."""
+    run = fmbd.solve(in_resonance(), t_end=20.0, tol={"mass": tol})
+    true = float(np.abs(run["mass"][:, 0] - run.times * np.sin(20.0 * run.times) / 40.0).max())
+    assert true <= tol and 0.5 < run.certificate["mass"].total / true < 3.0
+
+
 def test_steps_that_begin_alike_hide_no_error() -> None:
     """11 steps of BDF from order one are 2.4 times the tolerance off, nearly as far as 8 with ten times its own: what is between
     these states 0.17 of the error.

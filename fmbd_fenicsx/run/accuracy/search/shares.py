@@ -14,6 +14,8 @@ from ....log import log
 from ....system.scene.scene import Scene
 from ..certificate import FLOOR, Certificate, Statement, moving
 from ..deviation import Deviation
+from ..equal_steps import ASTRAY
+from ..orders import expected_orders, of_the_scheme
 
 if TYPE_CHECKING:
     from ...result import Run
@@ -146,6 +148,15 @@ def safe(made: Certificate, tol: Tolerance) -> bool:
     """Whether the stated errors leave room for that of the estimates themselves."""
     fixed = max(share(made, n, x, kind) for n, x in tol.items() for kind in ("space", "modes"))
     return worst(made, tol) <= SAFE and fixed <= AIM
+
+
+def alone(run: Run, made: Certificate, tol: Tolerance) -> bool:
+    """Whether no run with other steps shows the motion of a run, and its error is more than a tenth of what a sensor does: that
+    of many periods within few steps may be any.
+    """
+    orders, highest = expected_orders(run.scheme, run.scene, run.system), run.scheme.order
+    astray = [n for n in tol if (made[n].time or 0.0) > ASTRAY * made[n].span > 0.0]
+    return any(not of_the_scheme((orders[n], highest), run.observed_order.get(n, np.nan)) for n in astray)
 
 
 def warn_of_still(run: Run, tol: Tolerance) -> None:

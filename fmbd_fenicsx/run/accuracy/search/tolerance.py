@@ -23,10 +23,9 @@ from ....schemes.declared import Declared, checked_scheme
 from ....schemes.onestep.alpha.generalized_alpha import GeneralizedAlpha
 from ....system.scene.refinement import meshed_bodies, modal_bodies, slender
 from ....system.scene.scene import Scene
-from ...recording.ledger import Books
 from ...recording.output import Output
 from ...result import Run
-from ...schedule import StepSchedule, step_schedule
+from ...schedule import step_schedule
 from ...settings import check_tangent, default_scheme
 from ...single_run import Solved
 from ..certificate import FLOOR, Certificate, moving, stated_of
@@ -37,6 +36,7 @@ from ..equal_steps import Orders, TimeError, astray, between, known_orders
 from ..estimates import usual_errors, warn_of_uncertain, with_damped
 from .foretold import foretell
 from .next_attempt import (
+    NEAR,
     SMALL,
     AttemptPlan,
     Known,
@@ -51,13 +51,16 @@ from .next_attempt import (
     space_first,
     space_limit,
 )
+from .records import often, thin_out
 from .shared_spaces import SharedSpaces
 from .shares import (
     AIM,
+    DOUBTED,
     SAFE,
     WHOLE,
     Allowed,
     Tolerance,
+    alone,
     check_tolerances,
     largest_share,
     safe,
@@ -78,7 +81,6 @@ FAILURES = 1  # runs that may fail, each followed by one with a quarter of the s
 # times what a scheme's tolerance usually leaves that meshes do: by steps up to 170 were seen, up to 45 where ends are ahead
 UNUSUAL, UNUSUAL_AHEAD = 500.0, 100.0
 SHOWN = 4  # jumps of loads in the table of attempts
-RECORDS = 200  # that runs make at least, so that they can be compared
 
 
 @dataclass(frozen=True)
@@ -236,14 +238,14 @@ def _one_more(
         found.history.append(_of_space(plan, looked, clock.perf_counter() - begun))
         return looked.plan
 
-    output = replace(wanted, every=_often(wanted, plan.schedule), estimate_error=False)
+    output = replace(wanted, every=often(wanted, plan.schedule), estimate_error=False)
     solved = shared.solve(plan.scene, plan.scheme, plan.schedule, output)
     run = solved.run
     jumps = jumps_within(plan, run, tol, first=found.best is None)
     if not jumps:  # errors that others tell say nothing of these
         orders = _state_errors(plan, tol, shared, solved)
     if solved.compared.recorder.output.every != wanted.every and wanted.times is None:
-        _thin_out(run, solved.compared.recorder.indices, wanted.every)
+        thin_out(run, solved.compared.recorder.indices, wanted.every)
     if jumps:
         found.best = np.inf, run
         found.history.append(_of_jumps(plan, jumps, clock.perf_counter() - begun))
@@ -274,7 +276,10 @@ def _after(
     """The plan after an attempt and what it changes, or None and why there is none; collective."""
     ratio = worst(certificate, tol)
     if safe(certificate, tol):
-        return None, "done"
+        if not alone(run, certificate, tol) or any(ratio <= DOUBTED * a.worst <= DOUBTED * SAFE for a in found.history):
+            return None, "done"
+        found.best = np.inf, run
+        return finer_steps(tried, NEAR), "finer steps: others show another motion"
     if why := found.stalled(tried, ratio):
         return None, why
 
@@ -347,7 +352,13 @@ def _all_at_once(plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, solved
     collective.
     """
     run, scene, begun = solved.run, plan.scene, clock.perf_counter()
-    if plan.steps or scene.contacts or modal_bodies(scene) or not meshed_bodies(scene) or plan.known.errors:
+    if (
+        plan.steps
+        or scene.contacts
+        or modal_bodies(scene)
+        or not meshed_bodies(scene)
+        or any(plan.known.errors.values())
+    ):
         return False
     spans = moving(run.series, scene.sensors, FLOOR)
     usual = largest_share(usual_errors(solved.compared), spans, tol)
@@ -428,23 +439,3 @@ def _other_errors(plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, solve
             plan.scene, steps, plan.below, lambda found: largest_share(found, spans, tol) <= limit
         )
         run.seconds["space estimate"] = clock.perf_counter() - begun
-
-
-def _often(wanted: Output, schedule: StepSchedule) -> int:
-    """Every how many steps an attempt is recorded: as wanted, or a divisor of it where that would leave few records."""
-    if not schedule.steps:
-        return wanted.every
-    fits = [n for n in range(1, wanted.every + 1) if wanted.every % n == 0 and schedule.steps / n >= RECORDS]
-    return max(fits, default=1)
-
-
-def _thin_out(run: Run, indices: np.ndarray, every: int) -> None:
-    """Leave only the records that were wanted: of every so many steps, and the last."""
-    keep = indices % every == 0
-    keep[-1:] = True
-    run.times = run.times[keep]
-    run.series = {name: x[keep] for name, x in run.series.items()}
-    run.energy = {kind: x[keep] for kind, x in run.energy.items()}
-    if run.books is not None:
-        power, work = ({n: x[keep] for n, x in kind.items()} for kind in (run.books.power, run.books.work))
-        run.books = Books(power, work, run.books.unlisted)
