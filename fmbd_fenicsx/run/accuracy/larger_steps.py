@@ -128,7 +128,8 @@ def larger_steps_error(solved: Solved, two: Compared, allowed: Allowed) -> TimeE
         most = {n: min(p, mean or p) for n, p in expected.items()}
         return of_order(most, given, two, share) | of_order(quick, given, two, 1.0)
 
-    slow = TimeError(told(SLOW if mean is None else 1.0), dict.fromkeys(expected, float("nan")), two)
+    others = two if quick.keys().isdisjoint(sensors) else given  # finer spaces need the vibrations, too
+    slow = TimeError(told(SLOW if mean is None else 1.0), dict.fromkeys(expected, float("nan")), others)
     if mean is not None:
         return None if strays else slow
     if allowed.share(slow.errors) > DOUBTED * allowed.room:
@@ -146,7 +147,7 @@ def larger_steps_error(solved: Solved, two: Compared, allowed: Allowed) -> TimeE
     by_chance = not found.by_chance.isdisjoint(sensors)
     strange = any(found.orders[name] > expected[name] + TOO_HIGH for name in sensors)
     low = refused and not resolved({name: found.orders[name] for name in sensors}, expected, REGULAR)
-    return None if by_chance or strange or low else replace(found, with_others=two)
+    return None if by_chance or strange or low else replace(found, with_others=others)
 
 
 def _other_steps(made: Compared) -> bool:
