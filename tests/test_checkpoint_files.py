@@ -190,7 +190,7 @@ def test_a_run_without_checkpoints_loads_nothing_of_them(tmp_path: Path) -> None
         ),
         ({"scene": lambda: pendulum(law=lambda t: (0.0, 1.001))}, 'forces on "arm" in its state'),
         ({"scheme": fmbd.GeneralizedAlpha(0.7)}, "scheme.rho_inf: 0.8 in the checkpoint, 0.7 here"),
-        ({"dt": 0.005}, "step: 0.01 in the checkpoint, 0.005 here"),
+        ({"dt": 0.005}, "step: 0.01 in the checkpoint, 0.005 here.*solve run.next_scene"),
         ({"newton": fmbd.Newton(1e-8)}, "tolerance"),
         ({"output": fmbd.Output(every=2)}, "every"),
     ],

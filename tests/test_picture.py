@@ -12,7 +12,7 @@ from fmbd_fenicsx.post import figures
 from fmbd_fenicsx.post.drawing.draw import draw
 from fmbd_fenicsx.post.drawing.render import Renderer, strobe
 from fmbd_fenicsx.post.drawing.scene_graph import Drawing
-from fmbd_fenicsx.post.plot import components, draw_history
+from fmbd_fenicsx.post.plot import draw_history
 
 STEEL = fmbd.materials.linear_elastic(5e6, 0.3)
 
@@ -117,6 +117,7 @@ def test_series_are_named_by_sensor_or_component_and_drawn_over_what_is_known(ro
     exact, x, y = (next(c for c in axes.lines if c.get_label() == n) for n in ("reference", "tip x", "tip y"))
     assert (x.get_ydata() == run["tip"][:, 0]).all() and (y.get_ydata() == run["tip"][:, 1]).all()
     assert (exact.get_ydata() == run.times).all() and exact.get_zorder() < x.get_zorder()
+    assert (run["tip y"] == run["tip"][:, 1]).all()
     axes = Figure().subplots()
     draw_history(axes, run, "tip y", (0.1, -0.5))
     marks, y = axes.lines
@@ -132,7 +133,7 @@ def test_components_have_the_names_of_axes_or_coordinates_or_numbers():
     scene.add(fmbd.CoordinateBody("mass", np.eye(3), lambda q, v, t: 0 * q, np.zeros(3)))
     scene.sensor("q", fmbd.coordinates("mass", unit="m", names=("left", "right")))
     run = fmbd.solve(scene, t_end=0.1, dt=0.1)
-    assert components(run, "q") == ["q left", "q right", "q 3"] and run.scene.sensors["q"].unit == "m"
+    assert run.components("q") == ["q left", "q right", "q 3"] and run.scene.sensors["q"].unit == "m"
 
 
 @pytest.mark.mpi

@@ -57,23 +57,14 @@ def _comm(run: Run) -> Any:
     return run.system.comm
 
 
-def components(run: Run, sensor: str) -> list[str]:
-    """Labels of a sensor's components: "tip x" and so on; the bare name of a scalar."""
-    size = run[sensor].shape[1]
-    if size == 1:
-        return [sensor]
-    given = run.scene.sensors[sensor].labels
-    return [f"{sensor} {given[k] if k < len(given) else k + 1}" for k in range(size)]
-
-
 def series_of(run: Run, name: str) -> tuple[list[str], Array, str]:
     """Labels, values (n, size) and unit of a sensor ("tip"), or of one of its components ("tip y")."""
     for sensor in run.series:
-        labels = components(run, sensor)
+        labels = run.components(sensor)
         if name in labels and len(labels) > 1:
             k = labels.index(name)
             return [name], run[sensor][:, k][:, None], run.scene.sensors[sensor].unit_of(k)
-    return components(run, name), run[name], run.scene.sensors[name].unit
+    return run.components(name), run[name], run.scene.sensors[name].unit
 
 
 def draw_history(axes: Any, run: Run, name: str, known: Known | None = None) -> None:

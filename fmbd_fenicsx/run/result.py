@@ -101,11 +101,23 @@ class Run(Uncopied):
         self.energy, self.counters = Told("Energies of a run", self.energy), Told("Counters of a run", self.counters)
 
     def __getitem__(self, sensor: str) -> Array:
-        """Series of a sensor, (n, size)."""
+        """Series of a sensor, (n, size), or of one of its components, ``run["tip y"]``, (n,)."""
         word("run[...]: name of a sensor", sensor)
-        if sensor not in self.series:
-            raise InputError(f'No sensor "{sensor}". {near(sensor, self.series)}')
-        return self.series[sensor]
+        if sensor in self.series:
+            return self.series[sensor]
+        known = {label: (name, k) for name in self.series for k, label in enumerate(self.components(name))}
+        if sensor not in known:
+            raise InputError(f'No sensor "{sensor}". {near(sensor, dict.fromkeys((*self.series, *known)))}')
+        name, k = known[sensor]
+        return self.series[name][:, k]
+
+    def components(self, sensor: str) -> list[str]:
+        """Labels of a sensor's components: "tip x" and so on; the bare name of a scalar."""
+        size = self[sensor].shape[1]
+        if size == 1:
+            return [sensor]
+        given = self.scene.sensors[sensor].labels
+        return [f"{sensor} {given[k] if k < len(given) else k + 1}" for k in range(size)]
 
     @property
     def error_estimate(self) -> dict[str, float]:

@@ -19,7 +19,6 @@ from ...run.result import Run
 from ...system.layout import State
 from ..drawing.draw import draw
 from ..drawing.view import View
-from ..plot import components
 from .files import write_whole
 from .paraview import body_files, save_scene
 
@@ -41,9 +40,7 @@ def save_series(run: Run, file: str | Path) -> None:
     )
     names = ["time (s)"]
     for sensor in run.series:
-        names += [
-            f"{label} ({run.scene.sensors[sensor].unit_of(k)})" for k, label in enumerate(components(run, sensor))
-        ]
+        names += [f"{label} ({run.scene.sensors[sensor].unit_of(k)})" for k, label in enumerate(run.components(sensor))]
     names += [f"{kind} energy (J)" for kind in run.energy]
 
     columns = np.column_stack((run.times, *run.series.values(), *run.energy.values()))
@@ -129,7 +126,7 @@ def to_xarray(run: Run) -> Any:
     variables: dict[str, Any] = {}
     coordinates: dict[str, Any] = {"time": ("time", run.times, {"units": "s", "long_name": "time"})}
     for sensor, values in run.series.items():
-        labels = components(run, sensor)
+        labels = run.components(sensor)
         about = {"units": run.scene.sensors[sensor].unit, "long_name": sensor}
         if len(labels) == 1:
             variables[sensor] = ("time", values[:, 0], about)
@@ -162,7 +159,7 @@ def to_pandas(run: Run) -> Any:
     columns: dict[str, Any] = {}
     for sensor, values in run.series.items():
         unit = run.scene.sensors[sensor].unit
-        columns |= {f"{label} ({unit})": x for label, x in zip(components(run, sensor), values.T, strict=True)}
+        columns |= {f"{label} ({unit})": x for label, x in zip(run.components(sensor), values.T, strict=True)}
     columns |= {f"{kind} energy (J)": energy for kind, energy in run.energy.items()}
 
     return pandas.DataFrame(columns, index=pandas.Index(run.times, name="time (s)"))

@@ -43,7 +43,8 @@ def compare(known: dict[str, str], now: dict[str, str], where: Any) -> None:
         more = f"; and {len(lines) - 5} more" if len(lines) > 5 else ""
         raise CheckpointError(
             f"The checkpoint {where} is not of this run. {'; '.join(lines[:5])}{more}. Restart with the scene, scheme and "
-            "settings of the first run."
+            "settings of the first run; to go on with others from there, let that end at the checkpoint's time, and solve "
+            "run.next_scene()."
         )
 
 
