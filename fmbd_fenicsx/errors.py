@@ -182,7 +182,11 @@ def _no_number(value: Any) -> bool:
     """Whether a float is none, or some of an array of them are none; everything else is for others to look at."""
     if isinstance(value, float):
         return value != value
-    return isinstance(value, np.ndarray) and value.dtype.kind == "f" and bool(np.isnan(value).any())
+    if not (isinstance(value, np.ndarray) and value.dtype.kind == "f"):
+        return False
+    flat = value.ravel()
+    squares = flat.dot(flat)
+    return bool(squares != squares)
 
 
 def _at_the_end(function: Callable[..., Any], args: tuple[Any, ...], found: Any, time: int | None) -> Any:

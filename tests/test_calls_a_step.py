@@ -50,9 +50,9 @@ ROWS: dict[str, Any] = {
 
 
 def scene_of(kind: str, asked: list[float]) -> fmbd.Scene:
-    """Four links that fall, with elements that ask functions ``of time``, of time by ``plain numbers``, ``of motion``, of the
-    ``road``, of a ``curve`` or of their ``own coordinates``, alone and with a constraint by formulas, by plain numbers, or whose
-    derivative is given.
+    """Four links that fall, with elements that ask functions ``of time``, of time by ``plain numbers``, ``of motion`` or as an
+    ``own force`` of it, of the ``road``, of a ``curve`` or of their ``own coordinates``, alone and with a constraint by formulas,
+    by plain numbers, or whose derivative is given.
     """
     scene, last = chain(4)
     s = [fmbd.angle(scene.joints[f"pin {k}"]) for k in range(4)]
@@ -74,6 +74,9 @@ def scene_of(kind: str, asked: list[float]) -> fmbd.Scene:
             fmbd.forces.motor("motor", s[1], target=lambda t: noted(math.sin(2 * float(t))), kp=30.0, kd=3.0),
             fmbd.drive("drive", s[3], lambda t: noted(abs(0.5 * math.sin(float(t))))),
         )
+    elif kind == "own force":
+        pull = lambda t, a, b: noted((-3.0 * b.x - 0.1 * b.v, -0.1 * b.w[0]))  # noqa: E731
+        scene.add(fmbd.own_force("pull", fmbd.ground, last, pull))
     elif kind == "of motion":
         reads = {"s": s[1], "tip": fmbd.position(last)}
         scene.add(
@@ -116,7 +119,7 @@ def calls_a_step(scene: Callable[[], fmbd.Scene], scheme: Any, asked: list[float
 
 
 @compiled
-@pytest.mark.parametrize("kind", ["of time", "of motion", "road", "curve", "own coordinates", "own rows"])
+@pytest.mark.parametrize("kind", ["of time", "of motion", "own force", "road", "curve", "own coordinates", "own rows"])
 @pytest.mark.parametrize("scheme", SCHEMES, ids=lambda s: s.name)
 def test_calls_a_step(scheme: Any, kind: str) -> None:
     """All evaluations beside the functions' own are compiled code's."""

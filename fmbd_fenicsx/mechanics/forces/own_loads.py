@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -45,6 +44,7 @@ class OwnLoads(Loads):
         super().__init__(motions, forces, markers)
         # (m, 1): those without a second marker
         self.single: np.ndarray = np.array([f.b is None for f in forces])[:, None]
+        self.alone = int(self.single.sum())
         self.written: dict[int, WrenchFormula | None] = {}  # of laws that slopes were asked of
 
     @staticmethod
@@ -62,22 +62,20 @@ class OwnLoads(Loads):
 
     def _answer(self, k: int, t: float, motions: list[MarkerMotion]) -> Array:
         """Force and torque that the law of force k returns, (n,)."""
-        d = self.motions.dim
-        n = self.motions.dim + self.motions.n_rot
-        name = self.forces[k].name
-        value = self.laws[k][0](t, *motions)
+        d, law = self.motions.dim, self.laws[k][0]
+        n = d + self.motions.n_rot
+        usual: Array | None = law.wrench(n, d, t, *motions)  # this is called at every iterate
+        if usual is not None:
+            return usual
+
+        name, value = self.forces[k].name, law(t, *motions)
         try:
             found = np.concatenate([np.atleast_1d(x) for x in value])
         except (TypeError, ValueError, OverflowError):
             raise CallbackError(
                 f'Force "{name}": the law returned {value!r:.80} at t = {t:g} s, expected (force ({d},), torque).'
             ) from None
-        # the usual answer passes at once: this is called at every iterate
-        parts = len(value) == 2
-        fits = found.shape == (n,) and (not parts or np.size(value[0]) == d)
-        if fits and found.dtype == np.float64 and isfinite(found.dot(found)):
-            return found
-        if not parts:
+        if len(value) != 2:
             return checked(name, found, n, t)
         return np.concatenate((checked(name, value[0], d, t), checked(name, value[1], n - d, t)))
 
@@ -88,13 +86,13 @@ class OwnLoads(Loads):
 
     def _both(self, kin: Kinematics, found: Array) -> tuple[Array, Array]:
         """Wrenches on a and on b from what the laws return: on a alone, or on b with the reaction on a."""
-        d, single = self.motions.dim, self.single
-        if single.all():
-            return found, np.zeros_like(found)
+        d, single, alone = self.motions.dim, self.single, self.alone
+        if alone == len(found):
+            return found, np.zeros(found.shape)
         # force and moment on a, about its own place
         reaction = -found
         reaction[:, d:] -= self.motions.moment(kin.x[self.b] - kin.x[self.a], found[:, :d])
-        return np.where(single, found, reaction), np.where(single, 0.0, found)
+        return (np.where(single, found, reaction), np.where(single, 0.0, found)) if alone else (reaction, found)
 
     def wrenches(self, kin: Kinematics, t: float) -> tuple[Array, Array]:
         """Wrenches of the user's laws on both markers."""

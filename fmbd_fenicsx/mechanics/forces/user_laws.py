@@ -100,6 +100,20 @@ class Repeatable:
                 return found
         return checked(self.name, self(t), size, t)
 
+    def wrench(self, size: int, of_force: int, t: float, *markers: Any) -> Array | None:
+        """The force and torque that it returns at a time as so many finite numbers, so many ``of_force``, where that is seen at a
+        glance; None for others, at the first call and where it fails.
+        """
+        if self._asked and not AGREEMENTS:
+            try:
+                force, torque = self.function(t, *markers)
+                found = np.concatenate((force, torque), axis=None)
+                fits = found.shape == (size,) and len(force) == of_force and found.dtype == np.float64
+                return found if fits and isfinite(found.dot(found)) else None
+            except Exception:
+                pass  # asked again, with a name
+        return None
+
     def _compare(self, first: Any, second: Any, t: float) -> None:
         """Refuse two answers that differ; values that are no numbers are for others to refuse."""
         if all(np.array_equal(x, y, equal_nan=True) for x, y in zip(_parts(first), _parts(second), strict=False)):
