@@ -46,6 +46,19 @@ def test_frequencies_in_space() -> None:
         assert np.abs(found / expected - 1).min() < 5e-3, expected
 
 
+def test_round_sections_are_those_of_rods() -> None:
+    """A tube: E A, E I, G J, shear by Cowper's factor, rho I."""
+    tube = dict(youngs_modulus=2e11, poisson_ratio=0.3, density=7800.0, radius=0.03, inner=0.02)
+    beam, rod = fmbd.Section.circle(**tube), fmbd.RodSection.circle(**tube)
+    assert (beam.EA, beam.GA, beam.GA, beam.GJ, beam.EI_y, beam.EI) == pytest.approx(rod.stiffness)
+    assert (beam.rhoA, beam.rhoI, beam.rhoI_y) == pytest.approx((rod.mass, *rod.inertia[1:]))
+    assert beam.EI == pytest.approx(2e11 * np.pi * (0.03**4 - 0.02**4) / 4)
+    with pytest.raises(InputError, match="inner < radius"):
+        fmbd.Section.circle(**tube | {"inner": 0.04})
+    with pytest.raises(InputError, match="Section.circle: density"):
+        fmbd.Section.circle(**tube | {"density": -1.0})
+
+
 def test_timoshenko_static_tip() -> None:
     """Tip force: F L^3 / (3 EI) + F L / GA, exact with one element."""
     section = fmbd.Section(EA=1e3, EI=2.0, rhoA=1.0, GA=5.0)

@@ -27,7 +27,7 @@ from ...errors import InputError, near, require
 from ...rotations import Array
 from ..body import MODES, Body, Placed, Site
 from ..reduction.reduced import ReducedConstants, placed_modes
-from ..torsion import torsion_of_rectangle
+from ..torsion import ring, torsion_of_rectangle
 from .beam_elements import BeamElements
 from .bodies import RigidBody, Surface
 
@@ -69,21 +69,32 @@ class Section:
         cls, *, youngs_modulus: float, poisson_ratio: float, density: float, width: float, height: float
     ) -> Section:
         """A solid rectangle: ``height`` along y, ``width`` along z (m); shear factor 5/6, torsion constant to 0.1 %."""
-        given = {"youngs_modulus": youngs_modulus, "density": density, "width": width, "height": height}
-        for name, value in given.items():
+        for name, value in {"width": width, "height": height}.items():
             number(f"Section.rectangle: {name}", value, above=0.0)
-        nu = number("Section.rectangle: poisson_ratio", poisson_ratio, above=-1.0)
-        require(nu <= 0.5, f"Section.rectangle: poisson_ratio {nu} must lie in (-1, 0.5].")
+        A, J = width * height, torsion_of_rectangle(width, height)
+        shape = A, width * height**3 / 12, height * width**3 / 12, J, 5 / 6
+        return cls._of("rectangle", shape, youngs_modulus, poisson_ratio, density)
 
-        # elasticity, area, second moments of area
-        E = youngs_modulus
-        G = youngs_modulus / (2 * (1 + poisson_ratio))
-        A = width * height
-        Iz = width * height**3 / 12
-        Iy = height * width**3 / 12
+    @classmethod
+    @typed
+    def circle(
+        cls, *, youngs_modulus: float, poisson_ratio: float, density: float, radius: float, inner: float = 0.0
+    ) -> Section:
+        """A disc, or a ring with the radius ``inner`` (m); shear factor of Cowper, :func:`.ring`."""
+        A, moment, factor = ring(radius, inner, poisson_ratio)
+        shape = A, moment, moment, 2 * moment, factor
+        return cls._of("circle", shape, youngs_modulus, poisson_ratio, density)
 
-        J = torsion_of_rectangle(width, height)
-        return cls(E * A, E * Iz, density * A, density * Iz, 5 / 6 * G * A, E * Iy, G * J, density * Iy)
+    @classmethod
+    def _of(cls, which: str, shape: Sequence[float], E: float, nu: float, density: float) -> Section:
+        """From area, second moments about z and y, torsion constant and shear factor, and the material."""
+        for name, value in {"youngs_modulus": E, "density": density}.items():
+            number(f"Section.{which}: {name}", value, above=0.0)
+        number(f"Section.{which}: poisson_ratio", nu, above=-1.0)
+        require(nu <= 0.5, f"Section.{which}: poisson_ratio {nu} must lie in (-1, 0.5].")
+        A, Iz, Iy, J, factor = shape
+        G = E / (2 * (1 + nu))
+        return cls(E * A, E * Iz, density * A, density * Iz, factor * G * A, E * Iy, G * J, density * Iy)
 
 
 @dataclass(frozen=True, eq=False)

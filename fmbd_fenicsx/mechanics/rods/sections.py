@@ -15,7 +15,7 @@ import numpy as np
 from ...checks import check_fields, number, typed
 from ...errors import CallbackError, InputError, require
 from ...rotations import Array
-from ..torsion import torsion_of_rectangle
+from ..torsion import ring, torsion_of_rectangle
 from .relaxation import Arms
 
 
@@ -76,22 +76,12 @@ class RodSection:
     def circle(
         cls, *, youngs_modulus: float, poisson_ratio: float, density: float, radius: float, inner: float = 0.0
     ) -> RodSection:
-        """A disc, or a ring with the radius ``inner`` (m).
-
-        Shear factor of Cowper, doi:10.1115/1.3625046: 6 (1 + nu) (1 + m^2)^2 / ((7 + 6 nu) (1 + m^2)^2 + (20 + 12 nu) m^2) with
-        m = inner / radius.
-        """
-        require(0 <= inner < radius, f"A ring needs 0 <= inner < radius, found inner {inner} m, radius {radius} m.")
-        nu, m = poisson_ratio, inner / radius
-        A = np.pi * (radius**2 - inner**2)
-        moment = np.pi * (radius**4 - inner**4) / 4
-        # Cowper's factor
-        full = (1 + m * m) ** 2
-        factor = 6 * (1 + nu) * full / ((7 + 6 * nu) * full + (20 + 12 * nu) * m * m)
+        """A disc, or a ring with the radius ``inner`` (m); shear factor of Cowper, :func:`.ring`."""
+        A, moment, factor = ring(radius, inner, poisson_ratio)
         # what pictures show
         angle = np.linspace(0, 2 * np.pi, 24, endpoint=False)
-        ring = radius * np.stack((np.cos(angle), np.sin(angle)), axis=1)
-        return cls._of((A, moment, moment, 2 * moment, factor), (youngs_modulus, nu, density), ring)
+        rim = radius * np.stack((np.cos(angle), np.sin(angle)), axis=1)
+        return cls._of((A, moment, moment, 2 * moment, factor), (youngs_modulus, poisson_ratio, density), rim)
 
     @classmethod
     def _of(cls, shape: Sequence[float], material: Sequence[float], outline: Array) -> RodSection:
