@@ -35,6 +35,13 @@ def singular_values(A: Array, *, full: bool = True) -> tuple[Array, Array, Array
         ) from error
 
 
+def orthonormalising(G: Array, small: float) -> Array:
+    """T (n, k) with T^T G T = 1 for a Gram matrix G, but for directions in which it is below a share ``small`` of its largest."""
+    squares, vectors = np.linalg.eigh(G)
+    keep = squares > small * squares.max()
+    return np.asarray(vectors[:, keep] / np.sqrt(squares[keep]))
+
+
 def left_free(G: Array) -> Array:
     """Orthonormal motions (n - rank, n) that rows G (m, n), of any size, leave: G y = 0."""
     if not len(G):

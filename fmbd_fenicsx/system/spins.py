@@ -17,7 +17,7 @@ import numpy as np
 import scipy.linalg as sl
 
 from ..log import log
-from ..matrices import dense
+from ..matrices import dense, orthonormalising
 from ..mechanics.elastic.field_part import FieldPart
 from ..mechanics.elastic.floating import FloatingField
 from ..mechanics.elastic.modes import first_eigenvalue_bound, first_mode, rigid_fields
@@ -152,9 +152,7 @@ def _of_field(ev: Evaluation, k: int, part: FieldPart, on_ports: Array) -> tuple
 
     size = np.sqrt(f.total(np.square(conditions).sum(axis=0)))
     conditions = conditions / size
-    values, U = np.linalg.eigh(f.total(conditions.T @ conditions))
-    keep = values > DEPENDENT * values.max()
-    conditions = conditions @ (U[:, keep] / np.sqrt(values[keep]))
+    conditions = conditions @ orthonormalising(f.total(conditions.T @ conditions), DEPENDENT)
 
     known = ev.system.cache.get(("held", k))
     if known is None or not _span_one_space(f, known[0], conditions):

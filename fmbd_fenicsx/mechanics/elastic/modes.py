@@ -24,6 +24,7 @@ from ...errors import FmbdError, InputError, LinearSolveError
 from ...fem.factors.factor import Factor
 from ...fem.fields import Field
 from ...log import log
+from ...matrices import orthonormalising
 from ...rotations import Array
 
 SHIFT = 1e-3  # of an upper bound of the first eigenvalue
@@ -334,9 +335,7 @@ def orthonormal_modes(field: Field, V: Array, conditions: Array) -> tuple[Array,
     # one square of a frequency, by which strain counts as mass does
     unit = np.trace(K) / max(np.trace(M), 1e-300)
     for _ in range(2):  # twice is enough: the second pass cleans the roundoff of the first
-        s, U = np.linalg.eigh(M + K / unit if unit else M)
-        keep = s > VANISHED * s.max()
-        V = V @ (U[:, keep] / np.sqrt(s[keep]))
+        V = V @ orthonormalising(M + K / unit if unit else M, VANISHED)
         K, M = both(V)
 
     light = float(np.linalg.eigvalsh(M)[0])

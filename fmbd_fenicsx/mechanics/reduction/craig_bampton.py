@@ -23,6 +23,7 @@ from ...errors import InputError, require
 from ...fem.fields import Field
 from ...fem.mixed import make_field
 from ...log import log
+from ...matrices import orthonormalising
 from ...rotations import Array
 from ..body import MODES, Body, Placed, Site
 from ..elastic.floating import attachment, frame_conditions, moment_columns
@@ -141,9 +142,7 @@ def independent(field: Field, groups: Sequence[Array]) -> Array:
     zero.
     """
     C = np.concatenate(groups, axis=1)
-    s, U = np.linalg.eigh(field.total(C.T @ C))
-    keep = s > 1e-12 * s.max()
-    return np.asarray(C @ (U[:, keep] / np.sqrt(s[keep])) * field.mass_total)
+    return np.asarray(C @ orthonormalising(field.total(C.T @ C), 1e-12) * field.mass_total)
 
 
 def _select(field: Field, conditions: Array, wanted: Any) -> Array:

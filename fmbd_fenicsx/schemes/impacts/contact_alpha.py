@@ -162,22 +162,15 @@ class ContactAlphaStepper(ElasticContactStepper):
         system, s = self.system, self.state
         near, _ = candidates(system, self.contacts, s, h)
 
-        for _ in range(4):
-            step = _Step(self, h, near)
-            iterations = step.solve()
-            q = system.compose(s.q, step.xi)
-            # points that the step brings through a surface join in, and the step is made again
-            missed = (self.contacts.touch(system, s.t + h, q).gap < -1e-9 * system.length) & ~near
-            if not missed.any():
-                break
-            near = near | missed
+        step, iterations = self._solved(h, near, lambda some: _Step(self, h, some))
+        q = step.q
 
         v, force = self._persist(step)
         beta, self.size = self.scheme.parameters[3], h
         self.local_error = h * h * abs(beta - 1 / 6) * system.max_abs(step.A - self.A)
         self.A = step.A
 
-        forces = StepForces(near, step.contact.rows, force, s.t + h)
+        forces = StepForces(step.near, step.contact.rows, force, s.t + h)
         lam = least(self.solver, s.t + h, q, step.lam)
         self.state = self.ledger.write(State(s.t + h, q, v, step.a, lam), forces, (step.end, step.xi, step.lam), h)
         self.ledger.count(iterations)
@@ -261,6 +254,11 @@ class _Step(ElasticStep):
         return ((1 - self.af) * self.a + self.af * s.a - self.am * self.p.A) / (1 - self.am)
 
     @property
+    def q(self) -> Array:  # type: ignore[override]
+        """Configuration at the end."""
+        return self.p.system.compose(self.p.state.q, self.xi)
+
+    @property
     def v(self) -> Array:
         """Velocity at the end."""
         return self.p.state.v + self.h * ((1 - self.gamma) * self.p.A + self.gamma * self.A)
@@ -273,7 +271,7 @@ class _Step(ElasticStep):
     def where(self) -> tuple[float, Array, Array]:
         """As :meth:`ElasticStep.where`."""
         s = self.p.state
-        return s.t + self.h, self.p.system.compose(s.q, self.xi), self.v
+        return s.t + self.h, self.q, self.v
 
     def accelerate(self, dv: Array) -> None:
         """Accelerations that change the velocity at the end by dv."""
@@ -287,7 +285,7 @@ class _Step(ElasticStep):
         h = self.h
         s = p.state
         system, solver = p.system, p.solver
-        q = system.compose(s.q, self.xi)
+        q = self.q
         weights = p._weights(h)
         balance = self.balance((s.t + h, q, self.v), self.a, weights)
         self.begun = self.begun or self.ev

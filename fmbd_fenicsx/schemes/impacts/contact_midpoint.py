@@ -176,14 +176,7 @@ class ContactMidpointStepper(ElasticContactStepper):
         system, s = self.system, self.state
         near, ahead = candidates(system, self.contacts, s, h, keep=self.keeps_overlaps)
 
-        for _ in range(4):
-            step = _Step(self, h, near, ahead)
-            iterations = step.solve()
-            # points that the step brings through a surface join in, and the step is made again
-            missed = (self.contacts.touch(system, s.t + h, step.q).gap < -1e-9 * system.length) & ~near
-            if not missed.any():
-                break
-            near = near | missed
+        step, iterations = self._solved(h, near, lambda some: _Step(self, h, some, ahead))
 
         mean = step.xi / h
         self._begun, self._means = s, [*self._means[-1:], mean]
@@ -194,7 +187,7 @@ class ContactMidpointStepper(ElasticContactStepper):
         a[self._weightless] = slopes
         self.local_error = h * h / 12 * system.max_abs(a - s.a)
 
-        forces = StepForces(near, step.contact.rows, step.contact.force, s.t + self.theta * h)
+        forces = StepForces(step.near, step.contact.rows, step.contact.force, s.t + self.theta * h)
         lam = least(self.solver, s.t + h, step.q, step.lam)
         self.state = self.ledger.write(State(s.t + h, step.q, v, a, lam), forces, (step.end, step.xi, step.lam), h)
         self.ledger.count(iterations)

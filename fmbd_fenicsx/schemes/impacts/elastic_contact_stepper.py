@@ -6,8 +6,9 @@ asked for at once.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, TypeVar
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from ...system.serialisation import plain
 from ..marching import lend_energies, lend_newton, take_energies, take_newton
 from ..stepping import UNOBSERVED, Observers
 from .contact_stepper import ContactStepper
-from .elastic_step import Confirmed, is_smooth
+from .elastic_step import Confirmed, ElasticStep, is_smooth
 
 if TYPE_CHECKING:
     from ...system.compiled.tape import Openness, Tape
@@ -28,6 +29,9 @@ if TYPE_CHECKING:
 
 
 COMPILED = "compiled; NumPy for the start and for steps it gives back"
+MADE_AGAIN = 4  # times that a step is made at most, with the points that it brings through a surface
+THROUGH = 1e-9  # lengths of the model behind a surface
+Step = TypeVar("Step", bound=ElasticStep)
 
 
 class ElasticContactStepper(ContactStepper):
@@ -71,6 +75,20 @@ class ElasticContactStepper(ContactStepper):
         return is_smooth(self.system)
 
     # -- steps --------------------------------------------------------------------------------------------------------------
+    def _solved(self, h: float, near: np.ndarray, make: Callable[[np.ndarray], Step]) -> tuple[Step, int]:
+        """A step of size h (s) with the candidates that are ``near``, (m,) bool, and its iterations. Points that it would bring
+        through a surface join in.
+        """
+        for _ in range(MADE_AGAIN):
+            step = make(near)
+            iterations = step.solve()
+            gap = self.contacts.touch(self.system, self.state.t + h, step.q).gap
+            missed = (gap < -THROUGH * self.system.length) & ~near
+            if not missed.any():
+                break
+            near = near | missed
+        return step, iterations
+
     @cached_property
     def marches(self) -> bool:
         """Whether compiled code makes steps."""

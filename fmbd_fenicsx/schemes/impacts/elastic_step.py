@@ -56,6 +56,7 @@ class ElasticStep(ContactStep):
 
     p: ElasticContactStepper  # type: ignore[assignment]
     tolerance: float  # m, of the newest increment
+    q: Array  # at its end
 
     def __init__(self, stepper: ElasticContactStepper, h: float, near: np.ndarray) -> None:
         super().__init__(stepper, h, stepper.ledger.force[near])
