@@ -73,8 +73,7 @@ def animate(
     file = Path(file)
     kind = file.suffix.lower()
     require(kind in KINDS, f'Animation "{file}": the name must end in .gif, .mp4 or .html, found "{kind}".')
-    names = [sensors] if isinstance(sensors, str) else list(sensors)
-    story = make_story(run, names, view or View(), paint, seconds)
+    story = make_story(run, sensors, view or View(), paint, seconds)
     if kind == ".mp4":
         _encoder()  # on all ranks: an error before anything is drawn
 
@@ -92,9 +91,10 @@ def animate(
     return file
 
 
-def make_story(run: Run, sensors: Sequence[str], view: View, paint: Paint | None, seconds: float | None) -> Story:
+def make_story(run: Run, sensors: Sequence[str] | str, view: View, paint: Paint | None, seconds: float | None) -> Story:
     """The drawing of all snapshots and how long it lasts; collective."""
-    for name in sensors:
+    names = (sensors,) if isinstance(sensors, str) else tuple(sensors)
+    for name in names:
         series_of(run, name)
     require(
         len(run.snapshots) >= 2,
@@ -107,7 +107,7 @@ def make_story(run: Run, sensors: Sequence[str], view: View, paint: Paint | None
     usual = span if 2.0 <= span <= 12.0 else 5.0
     lasts = usual if seconds is None else float(seconds)
     require(np.isfinite(lasts) and lasts > 0, f"Animation: seconds = {seconds} must be positive.")
-    return Story(run, drawing, view, tuple(sensors), lasts)
+    return Story(run, drawing, view, names, lasts)
 
 
 # -- frames ------------------------------------------------------------------------------------------------------

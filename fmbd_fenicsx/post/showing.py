@@ -35,8 +35,7 @@ class Shown:
 
 def show(run: Run, *, sensors: Sequence[str] | str = (), view: View | None = None, paint: Paint | None = None) -> Any:
     """See :meth:`fmbd_fenicsx.Run.show`; collective."""
-    names = [sensors] if isinstance(sensors, str) else list(sensors)
-    story = make_story(run, names, view or View(), paint, None)
+    story = make_story(run, sensors, view or View(), paint, None)
     if "ipykernel" in sys.modules:
         from .webpage import page
 

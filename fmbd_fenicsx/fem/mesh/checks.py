@@ -157,14 +157,16 @@ def _surfaces(model: Any, groups: list[Group], entities: list[int], label: str) 
 
 def _drop_others(model: Any, dim: int, entities: list[int]) -> None:
     """Remove the mesh of everything that is no part of the solid: nodes without cells end DOLFINx's distribution."""
-    own = np.unique(np.concatenate([n for e in entities for n in model.mesh.getElements(dim, e)[2]]))
-    every = model.mesh.getNodes()[0]
-    for k, e in sorted(model.getEntities(), reverse=True) if len(own) < len(every) else ():
-        if k == dim and e in entities:
-            continue
-        nodes = model.mesh.getElements(k, e)[2]
+    own = np.unique(np.concatenate([nodes for one in entities for nodes in model.mesh.getElements(dim, one)[2]]))
+    solid = {(dim, one) for one in entities}
+    others = [entity for entity in model.getEntities() if entity not in solid]
+    if len(own) == len(model.mesh.getNodes()[0]):
+        others = []
+
+    for entity in sorted(others, reverse=True):
+        nodes = model.mesh.getElements(*entity)[2]
         if nodes and not np.isin(np.concatenate(nodes), own).all():
-            model.mesh.clear([(k, e)])
+            model.mesh.clear([entity])
     model.mesh.renumberNodes()
 
 

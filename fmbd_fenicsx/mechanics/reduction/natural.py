@@ -31,14 +31,13 @@ def natural_frequencies(body: Any, count: int, held: Sequence[str]) -> Array:
         f'Body "{body.name}": frequencies of one body need the linear form elastic(u, v, dx). With an energy, put the body into '
         "a scene and take fmbd.modes(scene, n).",
     )
-    names = [held] if isinstance(held, str) else list(held)
-    for name in names:
+    for name in held:
         body.surface(name)
 
     field = make_field(body.name, body.mesh, body.forms())
     try:
         # mean axes: no rigid motion is left
-        columns = [attachment(field, name) for name in names] or [field.Q]
+        columns = [attachment(field, name) for name in held] or [field.Q]
         conditioned = ConditionedBody(field, independent(field, [_as_motions(field, x) for x in columns]))
         try:
             return np.asarray(conditioned.vibration_modes(count)[0] / (2.0 * np.pi))

@@ -96,18 +96,20 @@ class Looks:
                 self.of[id(sensor)] = look
 
         self.complete = len(self.of) == len(system.sensed) and self.energies_known  # no state is read on its own
+        looks = self.of.values()
+
         # markers in the same place are seen once; who reads a state on its own may look at any
         every = range(len(system.markers.frame))
-        asked = {x.marker for x in self.of.values() if x.marker >= 0}
+        asked = {look.marker for look in looks if look.marker >= 0}
         self.alike = first_alike(system, asked) if self.complete else dict(zip(every, every, strict=True))
         self.markers = sorted(set(self.alike.values()))
-        self.rows = any(x.rows for x in self.of.values())
-        self.whole = not self.complete or any(x.states for x in self.of.values())
-        self.accelerated = any(x.accelerated for x in self.of.values())
-        self.angled = {self.alike[x.marker] for x in self.of.values() if x.angled}
-        self.wrenches = sorted({x.wrench for x in self.of.values() if x.wrench is not None})
-        self.relatives = [(key, x.relative) for key, x in self.of.items() if x.relative is not None]
-        self.elements = {x.element for x in self.of.values() if x.element}
+        self.rows = any(look.rows for look in looks)
+        self.whole = not self.complete or any(look.states for look in looks)
+        self.accelerated = any(look.accelerated for look in looks)
+        self.angled = {self.alike[look.marker] for look in looks if look.angled}
+        self.wrenches = sorted({look.wrench for look in looks if look.wrench is not None})
+        self.relatives = [(key, look.relative) for key, look in self.of.items() if look.relative is not None]
+        self.elements = {look.element for look in looks if look.element}
         self.slots: dict[Any, slice] = {}  # of a sensor's identity or an element's name
         self.count = 0
 

@@ -17,15 +17,17 @@ def integral_of(kept: ControllerMemory, points: PointMemories, reach: float, lea
     """The numbers (1, MEMORY) of a memory, with what is known at points of the step under way; ``reach``: of its rate,
     ``least``: of its size.
     """
-    out, count, past = np.zeros(MEMORY), len(kept.past), HEAD + 2 * PAST
+    out, count = np.zeros(MEMORY), len(kept.past)
+    times, values, stages = out[HEAD:], out[HEAD + PAST :], out[HEAD + 2 * PAST :]
     out[:HEAD] = (*_numbers(kept.z, kept.rate), kept.t, max(kept.size[0], least), reach, count, kept.before[0])
-    out[HEAD : HEAD + count] = [t for t, _ in kept.past]
-    out[HEAD + PAST : HEAD + PAST + count] = [z[0] for _, z in kept.past]
+    times[:count] = [t for t, _ in kept.past]
+    values[:count] = [z[0] for _, z in kept.past]
+
     if points.kept is kept:
-        k = len(points.t)
-        out[past] = k
-        out[past + 1 : past + 1 + k] = points.t
-        out[past + 1 + STAGES : past + 1 + STAGES + k] = points.z[:, 0]
+        known = len(points.t)
+        stages[0] = known
+        stages[1 : 1 + known] = points.t
+        stages[1 + STAGES : 1 + STAGES + known] = points.z[:, 0]
     return out[None]
 
 
