@@ -19,7 +19,7 @@ ROUNDING = 1e-9  # share of the run by which a table may be shorter
 
 def warn_of_short_tables(scene: Scene, begin: float, end: float) -> None:
     """Tell of tables that end, or begin, within a run between two times (s)."""
-    named = [(f'{force.kind} "{force.name}"', force) for force in scene.forces.values()]
+    named: list[tuple[str, Any]] = [(f'{force.kind} "{force.name}"', force) for force in scene.forces.values()]
     named += [(f'joint "{joint.name}"', joint) for joint in scene.joints.values()]
     named += [(f'a load on body "{body.name}"', body) for body in scene.bodies.values()]
 

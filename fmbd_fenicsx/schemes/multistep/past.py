@@ -69,7 +69,7 @@ def increments(system: System, q0: Array, past: tuple[Array, Array, Array]) -> A
 
 def weights(nodes: Array, t: float) -> Array:
     """l_j(t) of (1), (k,)."""
-    return np.array(lagrange(nodes.tolist(), t))
+    return np.array(lagrange([float(x) for x in nodes], t))
 
 
 def slopes(nodes: Array, t: Array) -> Array:
