@@ -67,6 +67,7 @@ typedef struct {
     double *stiffness, *damping, *free; /* efforts: N = stiffness (s - free) + damping s' */
     double *s, *rate, *effort, *weight, *slope; /* n each */
     double *foretold;                  /* LINEAR: n efforts where the last increment of a step leads */
+    double *across;                    /* LINEAR: n, share of an increment that a unit pull misleads; negative: not known of this matrix */
     int formula;                       /* FORMULA: which; n x FORMULA_WIDTH constants, n x MEMORY memory of accepted steps */
     double *constants, *kept;
     double *line;                      /* FORMULA, LAW: MOST_POINTS x n x LINE, see bridges.c; NULL for others */

@@ -82,7 +82,10 @@ static int tangents(System *s, Batch *k, double cd, double ck, double geometric,
     }
 
     int curved = k->curved && geometric != 0.0;
-    for (long i = 0; i < k->n; i++) k->weight[i] = geometric * pull_of(s, k, i, lam);
+    for (long i = 0; i < k->n; i++) {
+        k->weight[i] = geometric * pull_of(s, k, i, lam);
+        k->across[i] = -1.0;
+    }
     if (k->terms) {
         if (k->turning && geometric != 0.0) curves_of_terms(s, k);
         if (slope && k->mapped) mapped_squares(s, k, slope);
@@ -337,6 +340,15 @@ static double stiffness_across(const System *s, const Batch *k, long i, double e
     return found;
 }
 
+/* Share of an increment that a unit pull of item i across may make wrong; asked once of a matrix. */
+static double misled_by_one(const System *s, const Batch *k, long i)
+{
+    if (k->across[i] >= 0.0) return k->across[i];
+    double inertia = INFINITY;
+    for (int e = 0; e < k->live; e++) inertia = fmin(inertia, inertia_of(s, k->at[i * k->live + e]));
+    return k->across[i] = stiffness_across(s, k, i, 1.0) / inertia;
+}
+
 /* Share of an increment x that may be wrong since springs pull otherwise across, where it leads, than in the matrix. */
 double other_pulls(System *s, const double *x)
 {
@@ -346,10 +358,9 @@ double other_pulls(System *s, const double *x)
         if (k->role != LINEAR || !(k->curved || k->turning)) continue;
 
         for (long i = 0; i < k->n; i++) {
-            double pull = s->ck * k->foretold[i], other = pull - k->weight[i], inertia = INFINITY;
-            if (!(fabs(other) > SAME_PULL * fmax(fabs(pull), fabs(k->weight[i])))) continue;
-            for (int e = 0; e < k->live; e++) inertia = fmin(inertia, inertia_of(s, k->at[i * k->live + e]));
-            worst = fmax(worst, stiffness_across(s, k, i, other) / inertia);
+            const double pull = s->ck * k->foretold[i], other = fabs(pull - k->weight[i]);
+            if (other > SAME_PULL * fabs(pull) && other > SAME_PULL * fabs(k->weight[i]))
+                worst = fmax(worst, other * misled_by_one(s, k, i));
         }
     }
     return worst;

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 FORMULAS = enumeration("SERVO", "forces/formulas.c")
 LINE, MOST_POINTS = enumeration("LINE").values()  # numbers that stand for a law, at each of so many points
 TURNS = {"turn_a": 0, "turn_b": 1}  # those that turn from the axes of a marker into those of its frame
-OF_ITEMS = "s rate effort foretold weight slope stiffness damping free".split()  # a number for each item
+OF_ITEMS = "s rate effort foretold across weight slope stiffness damping free".split()  # a number for each item
 MOUNT = enumeration("ROW")["MOUNT"]  # the role
 
 
