@@ -5,8 +5,11 @@ A load is L(v) times a function of time; its nodal vector b is assembled once. A
 
     dead, follower   translation  sum_n b_n,     rotation  sum_n P_n x b_n,     elastic rows  b                (1)
 
-with b turned into body axes where it is dead. The same load acts on floating, reduced and absolute bodies. On a body with an
-energy, whose displacements are of any size, followers and internal loads are forms of the deformed body, F = 1 + grad u:
+with b turned into body axes where it is dead. Loads that are carried along with the material (pressures, follower forces)
+have the moment  sum_n X_n x b_n  instead: a linear body leaves out how displacements turn b, so it leaves out how they shift b,
+too. With the one alone a body under pressure from all sides would begin to spin. The same load acts on floating, reduced and
+absolute bodies. On a body with an energy, whose displacements are of any size, followers and internal loads are forms of the
+deformed body, F = 1 + grad u:
 
     pressure  -p J F^-T N . v,     follower f  |f| F f / |F f| . v,     stress S of a thermal strain  S : sym(F^T grad v)      (2)
 
@@ -56,6 +59,11 @@ class Load:
 
     def __post_init__(self) -> None:
         check_fields(self)
+
+    @property
+    def carried(self) -> bool:
+        """Whether it is carried along with the material."""
+        return self.follower and not self.internal and self.deformed is not None
 
     def check(self, body: Any) -> None:
         """Refuse a load on a surface that the body does not have, or of another dimension."""
@@ -259,6 +267,14 @@ class AppliedLoads:
                 # dead loads stand in the world: into the axes R
                 outer += factor * (b if load.follower else b @ R)
         return outer, inner
+
+    def carried(self, t: float) -> Array:
+        """Nodal forces (n, d) of those of :meth:`constant` that are carried along with the material."""
+        found: Array = np.zeros((self.field.n, self.field.dim))
+        for load, b in self.fixed:
+            if load.carried:
+                found += load.factor(t, self.field.name) * b
+        return found
 
     def nodal(self, t: float, R: Array, U: Array) -> tuple[Array, Array]:
         """As :meth:`constant`, of all loads, for displacements U (n d,); collective."""

@@ -125,13 +125,18 @@ class FloatingField(FieldPart):
         rows = self.internal(U, Ud)
         if field.loads.loads:
             outer, inner = field.loads.nodal(motion.t, motion.R, U)
-            sums -= field.total(np.concatenate((outer.sum(0), axial(field.points(U).T @ outer))))
+            moment = axial(field.points(U).T @ outer) - self._shifted(motion.t, U)
+            sums -= field.total(np.concatenate((outer.sum(0), moment)))
             rows -= (outer + inner).ravel()
         if field.D is not None:
             rows += field.damping(Ud)
         if field.forms.mass_damping:
             rows += field.forms.mass_damping * field.mass(Ud.reshape(-1, field.dim)).ravel()
         return sums, rows
+
+    def _shifted(self, t: float, U: Array) -> Array:
+        """Moment (n_rot,) of carried loads by displacements, which :mod:`...fem.loads` leaves out; this rank's share."""
+        return axial(U.reshape(-1, self.field.dim).T @ self.field.loads.carried(t))
 
     def _stiffened(
         self, stiffening: Stiffening, motion: FrameMotion, local: tuple[Array, Array, Array]
@@ -311,7 +316,8 @@ class FloatingField(FieldPart):
         if f.loads.loads:
             outer, inner = f.loads.nodal(motion.t, motion.R, U)
             W = self._velocity(motion, local)[1]
-            found["loads"] = float((outer * W).sum() + inner.ravel() @ Ud)
+            shifted = self._shifted(motion.t, U) @ motion.twist[f.dim :]
+            found["loads"] = float((outer * W).sum() + inner.ravel() @ Ud - shifted)
         if self.damped:
             found["damping"] = -float(Ud @ self._damping(Ud))
 

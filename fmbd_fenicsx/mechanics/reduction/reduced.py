@@ -244,7 +244,7 @@ class ReducedPart(Part):
             out[0][d:] -= load_moment(axes, bent @ p[1:])
         if not load.internal:
             out[0][:d] -= factor * (motion.R @ self._load_sum(load, motion.R))
-            out[0][d:] -= factor * axial(np.tensordot(p, B, 1).T)
+            out[0][d:] -= factor * axial((B[0] if load.carried else np.tensordot(p, B, 1)).T)
 
     def given(self, motion: FrameMotion, local: tuple[Array, Array]) -> dict[str, float] | None:
         """Power (W) of loads and of damping."""

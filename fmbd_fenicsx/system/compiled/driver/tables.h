@@ -213,7 +213,8 @@ typedef struct {
     int means;                         /* of the same over a step that keeps energy; 0: Python tells them */
     Integral *mean;
     double *dead, *following, *internal; /* n each: loads at a time (s), NULL without; in world axes, in those of the frame, without */
-    double loaded_at;                  /* a resultant */
+    double *carried;                   /* a resultant; those of the second that displacements do not shift */
+    double loaded_at;
     int own, whole;                    /* whether Python tells forces and energies, those of inertia and weight too, from: */
     double *state, *sums;              /* R, twist, its rate, pose, gravity, U, U', U''; TWIST: rows of the frame, or energies */
     double *inertia, *moment;          /* of the columns of inertia: ROT x ROT; D: sum of M P */

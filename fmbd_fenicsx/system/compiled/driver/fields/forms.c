@@ -132,7 +132,7 @@ static void add_loads(const Field *e, const double *R, const double *U, double *
         for (int j = 0; j < D; j++) {
             e->force[i + j] -= outer[j] + e->internal[i + j];
             sum[j] -= outer[j];
-            for (int c = 0; c < D; c++) N[D * j + c] += (e->X[i + j] + U[i + j]) * outer[c];
+            for (int c = 0; c < D; c++) N[D * j + c] += (e->X[i + j] + U[i + j]) * outer[c] - U[i + j] * e->carried[i + c];
         }
     }
 

@@ -37,7 +37,7 @@ class FieldForces:
         if not told_in_c(self._cache, self._key, part):
             return made
         if field.loads.loads:
-            for name in ("dead", "following", "internal"):
+            for name in ("dead", "following", "internal", "carried"):
                 array, made[name] = self.store.array(np.zeros(part.n))
                 self.loads.append(array)
             made["loaded_at"] = np.nan
@@ -93,10 +93,11 @@ class FieldForces:
         loads, name = self.part.field.loads, self.part.field.name
         for values in self.loads:
             values[:] = 0.0
-        dead, following, internal = self.loads
+        dead, following, internal, carried = self.loads
         for load, b in loads.fixed:
             into = internal if load.internal else following if load.follower else dead
             into += load.factor(t, name) * b.ravel()
+        carried[:] = loads.carried(t).ravel()
         for load, factor in self.factors:
             factor[0] = -load.factor(t, name)
 
