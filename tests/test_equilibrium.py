@@ -372,6 +372,21 @@ def test_a_column_under_a_force_that_follows_is_unstable_where_it_diverges(
     assert "did not settle" not in caplog.text
 
 
+def test_a_slender_rod_a_little_beyond_its_load(caplog: pytest.LogCaptureFixture) -> None:
+    """Pushed with 1.015 of its buckling load and 1e-3 of that across, one long step leads to the wrong side, which is told.
+    Deflections of a thousandth stretch it more than its bending gives way.
+    """
+    section = fmbd.RodSection((1e8, 1e8, 1e8, 1e3, 1e3, 1e3), 1.0, (2e-3, 1e-3, 1e-3))
+    rod = fmbd.Rod("rod", [(0, 0, 0), (1, 0, 0)], section, elements=8)
+    push = 1.015e3 * np.pi**2 / 4.0
+    scene = fmbd.Scene("column")
+    scene.add(rod, fmbd.fixed("clamp", fmbd.ground, rod.surface("start")))
+    scene.add(fmbd.force("push", rod.surface("end"), lambda t: (-push * t, 1e-3 * push * t, 0.0)))
+    scene.sensor("tip", fmbd.position(rod.surface("end")))
+    assert fmbd.equilibrium(scene, path=fmbd.LoadSteps((1.0,)))["tip"][1] < 0.0
+    assert 'unstable: body "rod' in caplog.text
+
+
 @pytest.mark.parametrize("path", [fmbd.ArcLength(1.0), fmbd.LoadSteps(tuple(np.linspace(0.05, 1.0, 20)))])
 def test_a_path_stays_on_its_branch(path: Any, caplog: pytest.LogCaptureFixture) -> None:
     """A column pushed with 1.5 of its buckling load and 1e-4 of that across it: the elastica, or it is said that it stands on."""

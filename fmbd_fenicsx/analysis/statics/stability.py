@@ -24,7 +24,7 @@ import scipy.linalg as sl
 from ...rotations import Array
 from ..small_motions.basis import DENSE_LIMIT, new_part, projected, random_motion
 from ..small_motions.first_order import first_order
-from ..small_motions.perturbation import SHIFT, Perturbation
+from ..small_motions.perturbation import SHIFT, SIDES, Perturbation
 from .static_newton import StaticNewton
 
 MOST = 24  # vectors
@@ -101,9 +101,10 @@ def grows(about: Perturbation, newton: StaticNewton, motion: Array) -> bool:
 
 
 def _quotient(newton: StaticNewton, about: Perturbation, y: Array) -> float:
-    """y^T K y by a difference over a long way."""
-    system, s, way = about.system, about.state, WAY * about.system.length
-    after, before = (
-        newton.residual.values(newton.residual.at(system.compose(s.q, x * y), s.t), s.lam)[0] for x in (way, -way)
+    """y^T K y by a difference of fourth order over a long way: what is slender is stretched by the square of its deflection."""
+    system, s, way = about.system, about.state, 0.5 * WAY * about.system.length
+    sides = (
+        weight * newton.residual.values(newton.residual.at(system.compose(s.q, side * way * y), s.t), s.lam)[0]
+        for side, weight in SIDES
     )
-    return system.dot(y, after - before) / (2.0 * way)
+    return system.dot(y, sum(sides)) / (12.0 * way)

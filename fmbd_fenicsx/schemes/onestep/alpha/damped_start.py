@@ -24,6 +24,11 @@ their sign from step to step, in the stress of a stiffened body too. Where (1) l
     a_1 + a_2,    S a_1 + G^T mu_1 = M a_0,    S a_2 + G^T mu_2 = M (a_0 - a_1),    G (a_1 + a_2) = G a_0                (5)
 
 in its place, that is with a_0 (1 - (ck w^2 / (1 + ck w^2))^2) in each mode: all of it but O(h^4 w^4) where h resolves w.
+It is not so, and no solution is asked for, where
+
+    a_0^T M a_0 > 0.3^2 (a_0^T M a_0 + ck a_0^T K a_0),                                                               (6)
+
+as a_0^T M a is the mean of 1 / (1 + ck w^2), at least 1 over the mean of 1 + ck w^2, times a_0^T M a_0.
 
 Until a start is resolved its steps are those of the diagonally implicit method of two stages, g = 1 - 1/sqrt(2),
 
@@ -100,7 +105,17 @@ def unresolved(
     # (2), which costs no solution
     dt = SMALL * h
     drag = (system.at(start.t, start.q, start.v + dt * start.a).balance(start.a, start.lam) - held) / dt
-    damps = w.cd * system.dot(start.a, drag) > (1.0 / left - 1.0) * w.cm * system.dot(start.a, push)
+    inertia = w.cm * system.dot(start.a, push)
+    damps = w.cd * system.dot(start.a, drag) > (1.0 / left - 1.0) * inertia
+
+    # (6), neither
+    if not damps:
+        way = dt * h
+        held_back = (
+            system.at(start.t, system.compose(start.q, way * start.a), start.v).balance(start.a, start.lam) - held
+        ) / way
+        if w.ck * system.dot(start.a, held_back) <= (1.0 / left**2 - 1.0) * inertia:
+            return None
 
     size, across = system.max_abs(start.a), ev.jacobian.times(start.a)
     there = system.at(start.t + h, system.compose(start.q, h * start.v), start.v)
