@@ -12,11 +12,11 @@ import pytest
 from chains import chain
 from profiled import calls_of
 from test_compiled_evaluation import MAKERS, compiled, pair_of
+from test_redundancy import null_space
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import LinearSolveError
 from fmbd_fenicsx.linear.condensation import StepSolver
-from fmbd_fenicsx.linear.redundancy import null_space
 from fmbd_fenicsx.linear.residual import Judge
 from fmbd_fenicsx.schemes.control import FALLEN, ROUNDOFF, STAGNATION
 from fmbd_fenicsx.schemes.dae import Points

@@ -17,9 +17,7 @@ from contextlib import nullcontext
 from typing import Any
 
 import numpy as np
-import scipy.linalg as sl
 import scipy.sparse as sp
-from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
 from ..matrices import dense
@@ -32,54 +30,40 @@ from .configuration_warnings import CORRECTIONS
 
 PROBES = 3  # multipliers of no special direction that show which rows share
 OPEN = 1e-6  # share of a multiplier of one above which its row shares
+FAINT = 1e-12  # e of (2)
+MOST = 100  # solutions of (2), of rows that nearly count as the same; of others three
 SINGULAR = 1e-14  # singular values of a scaled matrix below this share belong to rows that depend on each other
 
 
-def null_space(ev: Evaluation) -> Array:
-    """N of (1) at a configuration, (n_lam, k); collective."""
-    s, G = ev.system, ev.jacobian
-    if not s.n_lam:
-        return np.zeros((0, 0))
+def smallest(ev: Evaluation, lam: Array) -> Array:
+    """Of multipliers, (k, n_lam), the smallest with the same forces, by a sparse factor: f = lambda / u of
 
-    # rows of the core, in lengths, and of the surfaces of elastic bodies
-    ports = [dense(G.port[:, s.port_slice(k)]) for k, _ in s.fields]
-    rows = np.concatenate((dense(G.core) / s.units[: s.n_core], *ports), axis=1)
-    size = np.sqrt((rows * rows).sum(axis=1))
-    scale = 1.0 / np.where(size > 0, size, 1.0)
+        [ 1   A^T ] [f]   [0]
+        [ A   -e  ] [z] = [b],        A = G^T diag(u), its rows scaled,  b = A f                                  (2)
 
-    # rows of one size: pivots tell dependence, not units
-    rows = scale[:, None] * rows
-    parts = rows_together(rows)
-    found = [sl.qr(rows[np.ix_(*part)], pivoting=True) for part in parts]
-    pivots = [np.abs(R.diagonal()) for _, R, _ in found]
-    least_pivot = DEPENDENT * max(each[0] for each in pivots)
-
-    # orthonormal in forces, so that moments and forces share alike
-    bases = []
-    for (own, _), (Q, _, _), pivot in zip(parts, found, pivots, strict=True):
-        null = scale[own, None] * Q[:, int((pivot > least_pivot).sum()) :]
-        bases.append(np.linalg.qr(null / s.multiplier_units[own, None])[0])
-    N = np.zeros((s.n_lam, sum(Q.shape[1] for Q in bases)))
-    N[np.concatenate([own for own, _ in parts])] = sl.block_diag(*bases)
-    return N
-
-
-def rows_together(rows: Array) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Numbers of the rows that have columns in common, directly or by others, and those of all their columns.
-
-    Joints of loops that only springs couple have none in common.
+    solved again for what is left. Of a singular value sigma of A a solution finds the share sigma^2 / (sigma^2 + e): of rows that
+    count as the same, sigma below DEPENDENT, hardly any of what they differ by is followed; of others all that they bear.
+    Collective.
     """
-    m, n = rows.shape
-    i, j = np.nonzero(rows)
-    graph = sp.coo_matrix((np.ones(len(i), dtype=bool), (i, m + j)), shape=(m + n, m + n))
-    _, label = connected_components(graph, directed=False)
-    parts: list[tuple[np.ndarray, np.ndarray]] = []
-    for one in np.unique(label[:m]):
-        own = np.flatnonzero(label == one)
-        at = np.searchsorted(own, m)
-        # a row of zeros holds nothing, whatever its column
-        parts.append((own[:at], own[at:] - m if len(own) > at else np.zeros(1, int)))
-    return parts
+    s, G = ev.system, ev.jacobian
+    ports = [sp.csr_matrix(dense(G.port[:, s.port_slice(k)])) for k, _ in s.fields]
+    rows = sp.hstack((sp.csr_matrix(G.core), *ports)).T @ sp.diags(s.multiplier_units)
+    size = abs(rows).max(axis=1).toarray().ravel()
+    A = sp.diags(1.0 / np.where(size > 0, size, 1.0)) @ rows
+    m, n = A.shape
+    lu = splu(sp.block_array([[sp.identity(n), A.T], [A, -FAINT * sp.identity(m)]], format="csc"))
+
+    given = (lam / s.multiplier_units).T
+    f, z, left = np.zeros_like(given), np.zeros((m, len(lam))), A @ given
+    enough, further = DEPENDENT * np.abs(left).max(initial=0.0), CORRECTIONS
+    for _ in range(MOST):
+        change = lu.solve(np.concatenate((-f - A.T @ z, left)))
+        f, z = f + change[:n], z + change[n:]
+        left = A @ (given - f)
+        further -= np.abs(left).max(initial=0.0) <= enough
+        if further < 0:
+            break
+    return np.asarray(s.multiplier_units * f.T)
 
 
 def least(solver: StepSolver, t: float, q: Array, lam: Array) -> Array:
@@ -93,9 +77,7 @@ def least(solver: StepSolver, t: float, q: Array, lam: Array) -> Array:
     if found is not None:
         return found.reshape(lam.shape)
 
-    # what changes no force is taken out
-    N, u = null_space(solver.system.at(t, q)), solver.system.multiplier_units
-    return np.asarray(lam - u * ((lam / u) @ N @ N.T))
+    return smallest(solver.system.at(t, q), np.atleast_2d(lam)).reshape(lam.shape)
 
 
 def least_forces(S: Any, b: Array) -> Array:
