@@ -228,10 +228,6 @@ class DistributedPart(Part, Protocol):
         """
         return False
 
-    def switched(self, u: Array) -> bool:
-        """Whether one-sided springs of its own are others at displacements than in the tangent."""
-        return False
-
     def free_factors(self) -> None:
         """Free factors that solvers keep with the field."""
         return None

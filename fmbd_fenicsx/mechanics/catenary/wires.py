@@ -237,20 +237,14 @@ class WiresPart(FieldPart):
         self._chosen = False
 
     def _see(self, u: Array) -> bool:
-        if not self.switched(u):
-            return False
-        self.slack = self._slack_at(u)
-        self._tangents += 1
-        return True
-
-    def _slack_at(self, u: Array) -> np.ndarray:
         N, full = self.field.tension(u)
         # a dropper is slack where it would have to push
-        return np.flatnonzero(full != N)
-
-    def switched(self, u: Array) -> bool:
-        """Whether other droppers are slack than in the tangent."""
-        return not np.array_equal(self._slack_at(u), self.slack)
+        slack = np.flatnonzero(full != N)
+        if np.array_equal(slack, self.slack):
+            return False
+        self.slack = slack
+        self._tangents += 1
+        return True
 
     @property
     def tangent_version(self) -> int:
@@ -309,16 +303,11 @@ class WiresPart(FieldPart):
 
     def force(self, motion: FrameMotion, local: tuple[Array, Array, Array]) -> tuple[Array, Array]:
         """Rows of (1)."""
-        still, rows = self.held_force(motion, local)
-        return still, self.field.mass(local[2][:, None])[:, 0] - motion.gravity @ self.weights + rows
-
-    def held_force(self, motion: FrameMotion, local: tuple[Array, Array, Array]) -> tuple[Array, Array]:
-        """The same without inertia and weight."""
-        u, v, _ = local
+        u, v, a = local
         f, forms = self.field, self.field.forms
-        rows = f.internal(u)
-        if forms.mass_damping:
-            rows += forms.mass_damping * f.mass(v[:, None])[:, 0]
+        inertia = a + forms.mass_damping * v if forms.mass_damping else a
+
+        rows = f.mass(inertia[:, None])[:, 0] - motion.gravity @ self.weights + f.internal(u)
         if forms.stiffness_damping:
             rows += forms.stiffness_damping * (f.tangent(v) - f.B.T @ (f.stiff * (f.B @ v)))
         return np.zeros(self.motions.n_twist), rows

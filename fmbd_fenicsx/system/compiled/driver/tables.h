@@ -188,6 +188,13 @@ typedef struct {
     double *block;
 } NodeMatrix;
 
+/* Springs between numbers of a field, N = k (e + offset), e = B U, one-sided ones N >= 0; K of the field has all of them. */
+typedef struct {
+    int count, switched;               /* switched: whether other ones are slack at the forces told last than in the tangent */
+    int *start, *on, *one_sided, *slack; /* B by rows; count each: slack in the tangent */
+    double *row, *stiffness, *offset;
+} Droppers;
+
 enum { DAMPINGS = 2 };
 
 /* The elastic field U of a floating body, which its own factor eliminates from the step's matrix; see fields.c. */
@@ -205,7 +212,7 @@ typedef struct {
     double *M, *K;                     /* K without stress */
     NodeMatrix *masses;                /* M of nodes whose numbers are no places, in place of the scalars; NULL without; with */
     double *weight;                    /* D x n: what gravity along each axis acts with on these */
-    int switched;                      /* whether one-sided springs are other ones at the forces told last than in the tangent */
+    Droppers *droppers;                /* NULL without */
     double alpha, beta;                /* 1/s, s: damping by the mass and by the stiffness */
     NodeMatrix *drag;                  /* of a viscous form, NULL without */
     int integrals;                     /* of internal forces that are not linear, and of loads on the deformed body */

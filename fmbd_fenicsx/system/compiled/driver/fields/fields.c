@@ -254,6 +254,10 @@ static void linear_energies(const Body *o, const double *R, const Motion *m, con
     memset(e->accel, 0, e->n * sizeof(double));
     stiffness_times(e, U, e->accel, 0.0, e->force);
     elastic = long_dot(U, e->force, e->n);
+    for (int i = 0; e->droppers && i < e->droppers->count; i++) {
+        const double k = e->droppers->stiffness[i], x = stretch(e->droppers, i, U), N = tension(e->droppers, i, x);
+        elastic += (k > 0.0 ? N * N / k : 0.0) - k * x * x;
+    }
 
     out[0] += 0.5 * kinetic;
     out[1] += 0.5 * elastic;

@@ -99,6 +99,32 @@ static void mean_material_force(const Field *e, const double *U, const double *U
     for (int i = 0; i < e->means; i++) add_integral(e->mean + i, moving, F);
 }
 
+/* e = B U of a dropper */
+static double stretch(const Droppers *o, int i, const double *U)
+{
+    double sum = 0.0;
+    for (int k = o->start[i]; k < o->start[i + 1]; k++) sum += o->row[k] * U[o->on[k]];
+    return sum;
+}
+
+/* Its tension at that. */
+static double tension(const Droppers *o, int i, double e)
+{
+    const double N = o->stiffness[i] * (e + o->offset[i]);
+    return o->one_sided[i] && N < 0.0 ? 0.0 : N;
+}
+
+/* F += tensions of droppers, less those of taut ones without offset, which K has, damped by beta. */
+static void dropper_forces(Droppers *o, const double *U, const double *Ud, double beta, double *F)
+{
+    o->switched = 0;
+    for (int i = 0; i < o->count; i++) {
+        const double e = stretch(o, i, U), N = tension(o, i, e), more = N - o->stiffness[i] * (e + beta * stretch(o, i, Ud));
+        o->switched |= (N != o->stiffness[i] * (e + o->offset[i])) != o->slack[i];
+        for (int k = o->start[i]; k < o->start[i + 1]; k++) F[o->on[k]] += more * o->row[k];
+    }
+}
+
 /* F += forces of elasticity and damping on the nodes, and of loads on the deformed body. */
 static int material_force(const Field *e, const double *U, const double *Ud, double *F)
 {
@@ -108,6 +134,7 @@ static int material_force(const Field *e, const double *U, const double *Ud, dou
     drag_force(e, Ud, F);
     for (int i = 0; i < e->integrals; i++) add_integral(e->integral + i, moving, F);
     if (!e->integrals) stiffness_times(e, U, Ud, e->beta, F);
+    if (e->droppers) dropper_forces(e->droppers, U, Ud, e->beta, F);
     return e->integrals && e->beta > 0.0 ? add_rest_damping(e, U, Ud, F) : DONE;
 }
 

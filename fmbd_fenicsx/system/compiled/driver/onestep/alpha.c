@@ -325,7 +325,10 @@ static int begin_anew(System *s, double *p, AlphaStep *k)
 static int take_switched(System *s, AlphaStep *k)
 {
     int switched = 0;
-    for (int b = 0; s->fields && b < s->bodies; b++) switched |= s->body[b].field && s->body[b].field->switched;
+    for (int b = 0; s->fields && b < s->bodies; b++) {
+        const Field *e = s->body[b].field;
+        switched |= e && e->droppers && e->droppers->switched;
+    }
     if (!switched || k->touching) return DONE;
     k->far = 1;
     return take_tangents(s, k->xi, 0, k->t);

@@ -153,8 +153,6 @@ def _known(forms: list[tuple[Any, Any]], moving: list[Any]) -> Formed | None:
 def told_in_c(cache: dict[Any, Any], k: int, part: Any) -> bool:
     """Whether the forces of the field of part k are in C; Python tells all others. ``cache``: of the system."""
     field = part.field
-    if part.slack is not None and part.renewable:
-        return False
     if part.stiffening is not None and (field.loads.loads or field.nonlinear):
         return False
     if field.mixed and (address_of_solve() is None or formed_balance(cache, k, part) is None):

@@ -60,7 +60,8 @@ class FieldTable:
         # stress of loads that stiffens a body goes with that of inertia forces
         self.told = not told_in_c(system.cache, k, self.part)  # whether Python tells its forces
         self.whole = self.told and self.part.stiffening is not None
-        self.changes = self.turns or self.told  # matrices with the steps that were made
+        self.changes = self.turns or self.told or self.part.slack is not None  # matrices with the steps that were made
+        self.slack: np.ndarray = np.zeros(0, np.int32)  # which droppers are so in the tangent
         self.matrices = FieldMatrices(system.cache, self.part, k, tables.dim)
         self.forces_in_c = FieldForces(tables, self.part, k)
 
@@ -106,7 +107,14 @@ class FieldTable:
         for name, values in self._of_tangent().items():
             self.of_tangent[name][...] = values
         self.c.placed_at = np.nan
+        self._take_slack()
         self._lend()
+
+    def _take_slack(self) -> None:
+        """Droppers that the factor leaves out."""
+        if self.part.slack is not None:
+            self.slack[:] = 0
+            self.slack[self.block.factor.slack] = 1
 
     def _lend(self) -> None:
         """Let C solve with the factor by itself, where it can."""
@@ -168,7 +176,6 @@ class FieldTable:
         motion, _, local = self.motion.at(t)
         told = self.part.force if self.whole else self.part.held_force
         self.sums[:], self.force[: self.part.n] = told(motion, local)
-        self.c.switched = int(self.part.switched(local[0]))
         if self.part.field.carried:
             self.gap[:] = self.part.field.volume_gap(local[0])
 
@@ -265,13 +272,24 @@ class FieldTable:
         return [x.handle for x in made]
 
     def _inertia(self) -> dict[str, int]:
-        """Mass and weight of numbers that are no places."""
+        """Mass and weight of numbers that are no places, and springs between them."""
         part, store = self.part, self.tables.store
         if part.weights is None:
             return {}
-        blocks = NodeBlocks(part.field.M, self.tables.dim)
+        field, blocks = part.field, NodeBlocks(part.field.M, self.tables.dim)
         store.kept.append(blocks)
-        return {"masses": store.structure(node_matrix(blocks, self.tables.dim)), "weight": store.address(part.weights)}
+        self.slack, at = store.array(np.zeros(len(field.stiff)), np.int32)
+        droppers = structure("Droppers", self.tables.dim)(
+            count=len(field.stiff), start=store.integers(field.B.indptr), on=store.integers(field.B.indices), slack=at,
+            one_sided=store.integers(field.one_sided), row=store.address(field.B.data), stiffness=store.address(field.stiff),
+            offset=store.address(field.offset),
+        )  # fmt: skip
+        self._take_slack()
+        return {
+            "masses": store.structure(node_matrix(blocks, self.tables.dim)),
+            "weight": store.address(part.weights),
+            "droppers": store.structure(droppers),
+        }
 
     def _residual(self) -> dict[str, int]:
         """Room for the residual of a solution, and for the change that it asks for where the pressure is an unknown."""
