@@ -301,6 +301,8 @@ def test_compiled_steps_of_wires_are_those_of_numpy(case: str, form: Any, monkey
     assert (numpys["droppers"] == 0.0).any() == (case == "slack")
     assert compiled["w"] == pytest.approx(numpys["w"], rel=1e-12, abs=1e-13)
     assert compiled["droppers"] == pytest.approx(numpys["droppers"], rel=1e-12, abs=1e5 * 1e-13)
+    for kind, energy in numpys.energy.items():
+        assert compiled.energy[kind] == pytest.approx(energy, rel=1e-12, abs=1e-10)
     for name in ("force first", "force second"):  # of roundoff of places over the square of a step
         assert compiled[name] == pytest.approx(numpys[name], rel=1e-12, abs=1e-15 * 5.0 / 1e-3**2)
 
