@@ -12,7 +12,7 @@ import scipy.sparse as sp
 
 from .....kernel_cache import address_of
 from .....rotations import Array
-from ..structures import structure
+from ..structures import Store, structure
 
 
 class NodeBlocks:
@@ -38,6 +38,7 @@ class FieldMatrices:
 
     def __init__(self, cache: dict[Any, Any], part: Any, k: int, d: int) -> None:
         self.part, self.field, self._cache, self._key, self._dim = part, part.field, cache, k, d
+        self._slack: np.ndarray = np.zeros(0, np.int32)
 
     def of_nodes(self) -> dict[str, np.ndarray]:
         """M and K without stress by rows of nodes."""
@@ -49,6 +50,29 @@ class FieldMatrices:
             cache[key] = made if self.part.weights is not None else made | _by_rows("M", field.M.copy())
         found: dict[str, np.ndarray] = cache[key]
         return found
+
+    def of_numbers(self, store: Store, factor: Any) -> dict[str, int]:
+        """Mass and weight of numbers that are no places, and springs between them, as members of the structure Field."""
+        part, field, d = self.part, self.field, self._dim
+        if part.weights is None:
+            return {}
+        blocks = NodeBlocks(field.M, d)
+        store.kept.append(blocks)
+        self._slack, slack = store.array(np.zeros(len(field.stiff)), np.int32)
+        self.take_slack(factor)
+        droppers = structure("Droppers", d)(
+            count=len(field.stiff), start=store.integers(field.B.indptr), on=store.integers(field.B.indices), slack=slack,
+            one_sided=store.integers(field.one_sided), row=store.address(field.B.data), stiffness=store.address(field.stiff),
+            offset=store.address(field.offset),
+        )  # fmt: skip
+        masses = store.structure(node_matrix(blocks, d))
+        return {"masses": masses, "weight": store.address(part.weights), "droppers": store.structure(droppers)}
+
+    def take_slack(self, factor: Any) -> None:
+        """Springs that a factor leaves out."""
+        if self.part.slack is not None:
+            self._slack[:] = 0
+            self._slack[factor.slack] = 1
 
     def tangent(self) -> Array:
         """The stiffness of the newest tangent like K of :meth:`of_nodes`."""

@@ -18,7 +18,7 @@ from .....rotations import Array
 from ..resting import RestingField, RestingPart
 from ..structures import structure
 from .field_forces import FieldForces, told_in_c
-from .field_matrices import FieldMatrices, NodeBlocks, node_matrix
+from .field_matrices import FieldMatrices, node_matrix
 from .told import ToldMotion
 
 if TYPE_CHECKING:
@@ -61,7 +61,6 @@ class FieldTable:
         self.told = not told_in_c(system.cache, k, self.part)  # whether Python tells its forces
         self.whole = self.told and self.part.stiffening is not None
         self.changes = self.turns or self.told or self.part.slack is not None  # matrices with the steps that were made
-        self.slack: np.ndarray = np.zeros(0, np.int32)  # which droppers are so in the tangent
         self.matrices = FieldMatrices(system.cache, self.part, k, tables.dim)
         self.forces_in_c = FieldForces(tables, self.part, k)
 
@@ -107,14 +106,8 @@ class FieldTable:
         for name, values in self._of_tangent().items():
             self.of_tangent[name][...] = values
         self.c.placed_at = np.nan
-        self._take_slack()
+        self.matrices.take_slack(self.block.factor)
         self._lend()
-
-    def _take_slack(self) -> None:
-        """Droppers that the factor leaves out."""
-        if self.part.slack is not None:
-            self.slack[:] = 0
-            self.slack[self.block.factor.slack] = 1
 
     def _lend(self) -> None:
         """Let C solve with the factor by itself, where it can."""
@@ -256,7 +249,7 @@ class FieldTable:
             **{name: store.integers(x) if x.dtype == np.int32 else store.address(x) for name, x in arrays.items()},
             **{name: store.shared(x) for name, x in self.matrices.of_nodes().items()},
             **self._residual(), **self._stiffening(), **self.forces_in_c.members(),
-            **(self._moving_ports() if part.moves_ports else {}), **self._inertia(),
+            **(self._moving_ports() if part.moves_ports else {}), **self.matrices.of_numbers(store, self.block.factor),
         )  # fmt: skip
 
         self._lend()
@@ -270,26 +263,6 @@ class FieldTable:
         made = [PETSc.Vec().createWithArray(x, comm=PETSc.COMM_SELF) for x in arrays]
         self.vectors += made
         return [x.handle for x in made]
-
-    def _inertia(self) -> dict[str, int]:
-        """Mass and weight of numbers that are no places, and springs between them."""
-        part, store = self.part, self.tables.store
-        if part.weights is None:
-            return {}
-        field, blocks = part.field, NodeBlocks(part.field.M, self.tables.dim)
-        store.kept.append(blocks)
-        self.slack, at = store.array(np.zeros(len(field.stiff)), np.int32)
-        droppers = structure("Droppers", self.tables.dim)(
-            count=len(field.stiff), start=store.integers(field.B.indptr), on=store.integers(field.B.indices), slack=at,
-            one_sided=store.integers(field.one_sided), row=store.address(field.B.data), stiffness=store.address(field.stiff),
-            offset=store.address(field.offset),
-        )  # fmt: skip
-        self._take_slack()
-        return {
-            "masses": store.structure(node_matrix(blocks, self.tables.dim)),
-            "weight": store.address(part.weights),
-            "droppers": store.structure(droppers),
-        }
 
     def _residual(self) -> dict[str, int]:
         """Room for the residual of a solution, and for the change that it asks for where the pressure is an unknown."""
