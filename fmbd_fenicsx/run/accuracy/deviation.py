@@ -112,8 +112,10 @@ def between_ends(t: Array, x: Array, times: Array, y: Array, common: Deviation) 
     There x is on the cubic through four values, and counts as known to what a parabola through three of them differs by: where
     that is more, as about kinks and jumps, nothing is told.
     """
+    if len(t) < CUBIC * len(common.times):
+        return common
     other = np.setdiff1d(np.arange(len(times)), np.searchsorted(times, common.times - 1e-9 * times[-1]))
-    if len(t) < CUBIC * len(common.times) or not len(other):
+    if not len(other):
         return common
     first = np.clip(np.searchsorted(t, times[other]) - 2, 0, len(t) - 4)
     s, at = t[first[:, None] + np.arange(4)], times[other]
