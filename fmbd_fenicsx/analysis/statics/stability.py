@@ -107,4 +107,4 @@ def _quotient(newton: StaticNewton, about: Perturbation, y: Array) -> float:
         weight * newton.residual.values(newton.residual.at(system.compose(s.q, side * way * y), s.t), s.lam)[0]
         for side, weight in SIDES
     )
-    return system.dot(y, sum(sides)) / (12.0 * way)
+    return system.dot(y, sum(sides, np.zeros_like(y))) / (12.0 * way)
