@@ -6,6 +6,7 @@ static const double SLOW_TURN = 0.01; /* rate of Newton, and share that pulls mi
 static const double LEAP = 1e-3;      /* of the model's length: leaps of accelerations that lead farther are no prediction */
 static const double WORTH = 1e3;      /* first increments, over the tolerance, that are worth a new tangent of fields at once */
 static const double BEST_RATE = 0.02; /* that a step without a second increment counts on */
+static const double AS_NEW = 0.1;     /* of the tolerance: what a matrix of an earlier step may leave; its own leaves less than is told */
 enum { RENEWALS = 10 };               /* of tangents of fields in a step at most */
 
 /* Weights of the parabola through the last steps (less at the start) at the time t. */
@@ -52,7 +53,10 @@ int judge(double *p, const double *sizes, int done, double *error)
 static int judge_step(const System *s, double *p, const Block *now, const double *sizes, double tolerance, int done, double *error)
 {
     int converged = judge(p, sizes, done, error);
-    if (done == 1 && s->held && converged > 0) converged = (*error *= 1 + s->untold) <= 1.0;
+    if (s->held && converged > 0) {
+        if (done == 1) *error *= 1 + s->untold;
+        converged = *error <= AS_NEW;
+    }
     if (converged || done > 1 || !s->contact) return converged;
     *error = fmin(*error, left_as_told(s->contact, now, p[H], *sizes, tolerance));
     return *error <= 1.0;
