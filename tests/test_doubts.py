@@ -160,6 +160,25 @@ def test_open_velocities_are_warned_of() -> None:
     assert any('"motor" has a kink at t = 0.05 s' in text for text in run.warnings)
 
 
+def test_reactions_of_a_sliding_head_that_alternate_and_grow_are_told() -> None:
+    """Its row turns as it slides by a twelfth of a cell a step: more than index 3 bears with rho_inf = 0.8."""
+
+    def run(scheme: fmbd.GeneralizedAlpha) -> fmbd.Run:
+        wires = fmbd.Wires("wire", 30.0, 60, (fmbd.Wire(1.35, 20e3, 195.0),), (), (), 0.01, 1e-4)
+        head = fmbd.CoordinateBody("head", 5.0 * np.eye(1), lambda q, v, t: 100.0 - 300.0 * v - 1000.0 * q, np.zeros(1))
+        scene = fmbd.Scene("sliding", gravity=(0.0, -9.81), settle=True)
+        scene.add(wires, head, fmbd.SlidingContact("contact", wires, head, start=3.0, speed=20.0, ramp=0.2))
+        scene.sensor("force", fmbd.reaction("contact"))
+        return fmbd.solve(scene, t_end=0.4, dt=2e-3, scheme=scheme)
+
+    index_3 = run(fmbd.GeneralizedAlpha(0.8))
+    assert abs(index_3["force"]).max() > 1e3
+    assert [text for text in index_3.warnings if "alternate from step to step and grow. Take form=fmbd.GGL()" in text]
+    for scheme in (fmbd.GeneralizedAlpha(0.8, fmbd.GGL()), fmbd.GeneralizedAlpha(0.5)):
+        good = run(scheme)
+        assert abs(good["force"]).max() < 150.0 and good.warnings == []
+
+
 @pytest.mark.parametrize("form", [fmbd.Index1(), fmbd.Index2()], ids=lambda form: form.name)
 def test_joints_that_drift_apart_are_warned_of(form: Any) -> None:
     """Where the form holds no positions: with large steps, and not with small ones."""

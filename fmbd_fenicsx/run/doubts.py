@@ -50,8 +50,12 @@ def warn_of_doubts(
     counters: Mapping[str, float],
     ends: tuple[State, State],
     size: float,
+    *,
+    remembers: bool,
 ) -> None:
-    """Say what is doubtful in a run between two states; ``size``: of its equal steps (s), 0 of others; collective."""
+    """Say what is doubtful in a run between two states; ``size``: of its equal steps (s), 0 of others; ``remembers``: whether what
+    accelerations leave across rows on positions goes on from step to step, see :mod:`.judges.turning_rows`; collective.
+    """
     start, end = ends
     system = solver.system
     if recorder.energies and isolated(scene, system):
@@ -64,7 +68,7 @@ def warn_of_doubts(
         _chatter(system)
 
     _impacts(counters)
-    _open_velocities(recorder, counters)
+    _open_velocities(recorder, counters, remembers)
     _open_joints(recorder)
     _contradictions(solver, recorder, end)
     _immovable(solver)
@@ -169,7 +173,7 @@ def _impacts(counters: Mapping[str, float]) -> None:
         )  # fmt: skip
 
 
-def _open_velocities(recorder: Recorder, counters: Mapping[str, float]) -> None:
+def _open_velocities(recorder: Recorder, counters: Mapping[str, float], remembers: bool) -> None:
     """(2), above what roundoff of places is in one step: a scene at rest moves by nothing else."""
     drift = recorder.drift
     if drift.closed is None or drift.worst_slip <= SLIP * drift.fastest:
@@ -179,9 +183,11 @@ def _open_velocities(recorder: Recorder, counters: Mapping[str, float]) -> None:
         return
     log.warning(
         "joints open at up to %.2g m/s (or rad/s times the model's length), the largest velocity is %.3g m/s: velocities and "
-        "accelerations are less accurate than positions. Take a smaller dt, or a scheme that holds velocities too, such as "
+        "accelerations are less accurate than positions%s a smaller dt, or a scheme that holds velocities too, such as "
         "fmbd.Radau()",
         drift.worst_slip, drift.fastest,
+        ", and reactions may alternate from step to step and grow. Take form=fmbd.GGL(), a smaller rho_inf," if remembers
+        else ". Take",
     )  # fmt: skip
 
 

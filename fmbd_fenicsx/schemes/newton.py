@@ -215,9 +215,7 @@ def known_gaps(ev: Evaluation, g: Array) -> Array:
     """
     system = ev.system
     known = system.row_units * np.abs(g) > 16 * np.finfo(float).eps * (system.length + farthest(system, ev.q))
-    for _, span in system.port_constraints:
-        known[span] = True  # equations of the user's own, in units of their own
-    return np.where(known, g, 0.0)
+    return np.where(known | ~system.in_lengths, g, 0.0)
 
 
 def strayed(system: System, xi: Array, predicted: Array) -> bool:

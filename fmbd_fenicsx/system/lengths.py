@@ -6,6 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
+from ..mechanics.bodies.port_constraint import PortConstraint
 from ..ranks import rank_max, rank_sum
 from ..rotations import Array
 from .layout import Layout
@@ -37,6 +38,14 @@ class Measured(Layout):
         user's own count as they are.
         """
         return self._of_rows(self.length)
+
+    @cached_property
+    def in_lengths(self) -> Array:
+        """Whether :attr:`row_units` makes lengths of rows, (n_lam,): equations of a user's own are in units of their own."""
+        out = np.ones(self.n_lam, dtype=bool)
+        for law, rows in self.port_constraints:
+            out[rows] &= not isinstance(law, PortConstraint)
+        return out
 
     @cached_property
     def multiplier_units(self) -> Array:

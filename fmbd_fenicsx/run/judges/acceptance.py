@@ -155,11 +155,8 @@ class Closed(Remembering):
 
     @cached_property
     def units(self) -> Array:
-        """u of (1), (n_lam,)."""
-        out = self.system.row_units.copy()
-        for _, span in self.system.port_constraints:
-            out[span] = 0.0  # equations of the user's own, in units of their own: no length to judge them by
-        return out
+        """u of (1), (n_lam,); 0 where there is no length to judge by."""
+        return self.system.row_units * self.system.in_lengths
 
     def check_tape(self, seen: Any, t: float) -> None:
         """The same for records of compiled steps up to time t (s), the first that is open by (1) as :meth:`check` does."""
