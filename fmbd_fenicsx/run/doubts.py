@@ -53,8 +53,10 @@ def warn_of_doubts(
     *,
     remembers: bool,
 ) -> None:
-    """Say what is doubtful in a run between two states; ``size``: of its equal steps (s), 0 of others; ``remembers``: whether what
-    accelerations leave across rows on positions goes on from step to step, see :mod:`.judges.turning_rows`; collective.
+    """Say what is doubtful in a run between two states; ``size``: of its equal steps (s), 0 of others; collective.
+
+    ``remembers``: whether what accelerations leave across rows on positions goes on from step to step, see
+    :mod:`.judges.turning_rows`.
     """
     start, end = ends
     system = solver.system

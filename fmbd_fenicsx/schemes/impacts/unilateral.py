@@ -45,6 +45,11 @@ class Unilateral:
         """Of the scheme between changes of contact."""
         return int(self.scheme.order)
 
+    @property
+    def turn_limit(self) -> float | None:
+        """Of the scheme between changes of contact."""
+        return Declared.by(self.scheme).turn_limit
+
     def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> Switching:
         """A run's worker, from a consistent state with closed contacts."""
         return Switching(self, system, solver, newton, state)
