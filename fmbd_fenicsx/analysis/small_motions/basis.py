@@ -35,6 +35,7 @@ HELD = 1e-8  # violation of the constraints by a vector of unit length from whic
 LEFT = 0.5  # share that is left of a vector without its violation: what has less was made of it
 BEYOND = 1e-6  # share of damping forces beside those of mass and stiffness that is no noise
 DENSE_LIMIT = 600  # replicated coordinates up to which all of them are taken
+FREE = 1e3 * float(np.finfo(float).eps)  # of the largest stiffness, what roundoff leaves of none
 TRIES, LARGER = 8, 9.0  # shifts beyond the one given, and each over the one before
 EXACT = ExactTangent(rtol=1e-7, max_iterations=60)
 
@@ -89,9 +90,9 @@ def projected(
                 about, solver, inertia, lambda inverse: _krylov(_Space(about), inverse, count, inputs, enough)
             )
             # what moves freely answers most to little inertia, and its noise hides what vibrates
-            if settled:
+            if settled or not _moves_freely(made.K):
                 break
-        else:
+        if not settled:
             log.warning(
                 "The first %d modes did not settle among %d motions: their frequencies are uncertain, as those of very thin "
                 "solids; take beams, rods, or thicker cells", count, len(made.M),
@@ -192,6 +193,12 @@ def free_motions(about: Perturbation) -> Array:
     return np.asarray(left_free(G) / system.units)
 
 
+def _moves_freely(K: Array) -> bool:
+    """Whether nothing but roundoff holds some combination of motions of unit length, by their stiffness (k, k)."""
+    held = np.abs(np.linalg.eigvalsh(0.5 * (K + K.T)))
+    return bool(held.min() <= FREE * held.max())
+
+
 def _krylov(
     space: _Space,
     inverse: _Shifted,
@@ -201,37 +208,44 @@ def _krylov(
 ) -> tuple[ProjectedSystem, bool]:
     """The matrices on an orthonormal basis of a block Krylov space, and whether they are ``enough``; where it ends early others
     go on beside it.
+
+    Gyroscopic forces of what answers to such forces are left to later answers to inertia: all words of both, twice as many with
+    each answer, would fill the space at a depth of a few.
     """
     about, basis, freedom = space.about, space.vectors, _freedom(space.about)
     limit = min((3 * count + MORE) * (1 if enough is None else LARGEST), freedom)
+    gyroscopic: list[bool] = []  # of the vectors, which answer to forces of that kind
     started = known = done = 0  # random starts; vectors whose own answers are left out; those that were answered
 
     def starts() -> list[Array]:
         numbers = range(started, started + BLOCK)
         return [inverse.solve(space.without(about.mass(random_motion(about, i)), known)) for i in numbers]
 
-    waiting = [inverse.solve(b) for b in inputs] + starts()
-    turning = _turning(about, waiting[-1])
+    waiting = [(x, False) for x in [inverse.solve(b) for b in inputs] + starts()]
+    turning = _turning(about, waiting[-1][0])
     while len(basis) < limit:
         # the space has ended: other motions, which it cannot hold, begin beside it
         if not waiting and done == len(basis):
             if known == done:
                 break
             known, started = done, started + BLOCK
-            waiting = starts()
+            waiting = [(x, False) for x in starts()]
         elif not waiting:
             if enough is not None and done % BLOCK == 0 and done >= count and enough(space.projected()):
                 break
             # the next answers: (K + s M)^-1 M v, and C v where velocities make forces
             mass, damping, stiffness = space.images[done]
+            again = gyroscopic[done]
             done += 1
-            waiting.append(inverse.solve(space.without(mass, known)))
-            if turning and (beyond := _beyond(about, damping, (mass, stiffness))) is not None:
-                waiting.append(inverse.solve(space.without(beyond, known)))
+            waiting.append((inverse.solve(space.without(mass, known)), False))
+            if turning and not again and (beyond := _beyond(about, damping, (mass, stiffness))) is not None:
+                waiting.append((inverse.solve(space.without(beyond, known)), _skew(space.small[1])))
 
-        made = new_part(about, basis, waiting.pop(0), inverse.inverse)
+        x, by_gyroscopic = waiting.pop(0)
+        made = new_part(about, basis, x, inverse.inverse)
         if made is not None:
             space.add(made)
+            gyroscopic.append(by_gyroscopic)
     return space.projected(), enough is None or len(basis) < limit or limit == freedom
 
 
@@ -289,6 +303,11 @@ def _beyond(about: Perturbation, damping: Array, others: tuple[Array, ...]) -> A
 def _norm(about: Perturbation, x: Array) -> float:
     units = about.system.units
     return float(np.sqrt(about.system.dot(units * x, units * x)))
+
+
+def _skew(C: Array) -> bool:
+    """Whether forces of velocities do no work on any, but for noise."""
+    return bool(np.abs(C + C.T).max() <= BEYOND * np.abs(C).max())
 
 
 def _turning(about: Perturbation, x: Array) -> bool:

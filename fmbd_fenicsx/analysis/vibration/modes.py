@@ -396,10 +396,11 @@ def _together(squares: Array) -> Array:
     """Values, with the mean of those that lie as near as errors of ``STAYS`` part a double root: that keeps to them, the roots
     stray by their square root.
 
-    What flies straight on turns back in turning axes: a double root at the rate of the spin, which has one motion only.
+    What flies straight on turns back in turning axes: a double root at the rate of the spin, which has one motion only,
+    (l + i w)^2 = e w^2, whose squares are 4 w^2 sqrt(e) apart.
     """
     apart = np.abs(squares[:, None] - squares)
-    near = apart <= np.sqrt(STAYS) * np.maximum(np.abs(squares)[:, None], np.abs(squares))
+    near = apart <= 4.0 * np.sqrt(STAYS) * np.maximum(np.abs(squares)[:, None], np.abs(squares))
     return np.asarray((near @ squares) / near.sum(axis=1))
 
 
