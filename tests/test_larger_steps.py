@@ -16,6 +16,7 @@ from fmbd_fenicsx.errors import ConvergenceError
 from fmbd_fenicsx.linear.frequency_solvers import SETTLED
 from fmbd_fenicsx.materials import linear_elastic
 from fmbd_fenicsx.run.accuracy import companion_runs, larger_steps
+from fmbd_fenicsx.run.accuracy.deviation import Deviation, unresolved
 from fmbd_fenicsx.run.accuracy.equal_steps import compare_steps
 from fmbd_fenicsx.run.accuracy.larger_steps import in_one, larger_steps_error, two_in_one, with_larger_steps
 from fmbd_fenicsx.run.accuracy.search.shares import Allowed
@@ -159,6 +160,18 @@ def test_vibrations_that_larger_steps_leave_out_are_stated() -> None:
     ).sum(1)
     true = float(np.abs(run["speed"][:, 0] - exact).max())
     assert true <= 1e-3 and 0.5 < run.certificate["speed"].total / true < 3.0
+
+
+@pytest.mark.parametrize("phase", [0.2, 1.0, 2.0])  # by which larger steps lag at the end
+@pytest.mark.parametrize("period", [5, 12, 35])  # ends of larger steps in one period of the fast motion
+def test_vibrations_whose_phase_larger_steps_lose_are_not_extrapolated(phase: float, period: int) -> None:
+    times = np.linspace(0.0, 1.0, 301)
+    fast = 2.0 * np.pi * 300.0 / period
+    moved = np.sin(fast * times)
+    apart = Deviation(times, (moved - np.sin((fast - phase) * times))[:, None])
+    series = Deviation(times, (100.0 * np.sin(6.0 * times) + moved)[:, None])
+    followed = phase < 1.0 and period > 6
+    assert unresolved(apart, series) != followed
 
 
 @pytest.mark.parametrize(

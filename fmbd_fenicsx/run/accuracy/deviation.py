@@ -13,6 +13,7 @@ from ...rotations import Array
 CUBIC = 4  # times as many values as common ones, from which on values between them count
 FAST = 4  # differences that tell vibrations within few steps from slow motion
 MISSED = 0.1  # of fast motion from which on it is not followed
+LOST = 0.5  # of vibrations over many steps, from which on runs are out of phase
 TRUSTED = 1.0 / 3.0  # share of the sum that errors are left with, however well they seem to cancel
 
 
@@ -71,17 +72,23 @@ def alignment(a: Deviation, b: Deviation) -> float:
 
 
 def unresolved(found: Deviation, series: Deviation) -> bool:
-    """Whether a deviation of a series between ends of steps is mostly a vibration that larger ones left out: it changes as much
-    from one end to the next as it is large, as those of less than six ends in a period do, and its fourth differences, in which
-    slow motion is small, are more than a share :data:`MISSED` of those of the series.
+    """Whether a deviation of a series between ends of steps is mostly a vibration that larger ones left out, or lost the phase of.
+
+    It changes more from one end to the next, or to the second, fourth .. one, than it is large, as vibrations of less than six of
+    these in a period do. There, in its fourth differences, in which slow motion is small, it is more than a share of those of the
+    series: :data:`MISSED` from one end to the next, :data:`LOST` where steps are small enough to follow it but for its phase.
     """
 
     def size(values: Array, differences: int) -> float:
         return float(np.sqrt(np.square(np.diff(values, differences, axis=0)).mean()))
 
-    if len(found.times) <= FAST or size(found.values, 1) <= size(found.values, 0):
-        return False
-    return size(found.values, FAST) > MISSED * size(series.at(found.times), FAST)
+    known, lag = series.at(found.times), 1
+    while len(found.times) > FAST * lag:
+        values, share = found.values[::lag], MISSED if lag == 1 else LOST
+        if size(values, 1) > size(values, 0) and size(values, FAST) > share * size(known[::lag], FAST):
+            return True
+        lag *= 2
+    return False
 
 
 def sizes(found: dict[str, Deviation]) -> dict[str, float]:
