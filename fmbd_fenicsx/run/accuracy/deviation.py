@@ -72,7 +72,7 @@ def alignment(a: Deviation, b: Deviation) -> float:
 
 
 def unresolved(found: Deviation, series: Deviation) -> bool:
-    """Whether a deviation of a series between ends of steps is mostly a vibration that larger ones left out, or lost the phase of.
+    """Whether a deviation of a series is mostly a vibration that larger steps left out, or lost the phase of.
 
     It changes more from one end to the next, or to the second, fourth .. one, than it is large, as vibrations of less than six of
     these in a period do. There, in its fourth differences, in which slow motion is small, it is more than a share of those of the
