@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from chains import chain
+from combinations import scene_of
 from dae_problems import march, observed, pendulum, pendulum_at, pendulum_errors, spinning_top, state_errors
 
 import fmbd_fenicsx as fmbd
@@ -440,3 +441,14 @@ def test_a_drive_that_sets_in_steeply_leaves_no_open_joint(
     scene.sensor("centre", fmbd.position(arm))
     run = fmbd.solve(scene, t_end=0.2, scheme=fmbd.Radau(3, rtol=rtol))
     assert np.abs(np.hypot(*run["centre"].T) - 0.5).max() < 1e-3 * rtol
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_vibrations_that_are_not_resolved_are_not_foretold(compiled: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A polynomial of the last step through them ran away, and Newton with it: 15 increments a step, 2 steps halved."""
+    if not compiled:
+        monkeypatch.setattr(MarchingStepper, "march", lambda *given: 0)
+    ends = fmbd.Output(times=(0.0, 0.02), energy=False, progress=False)
+    run = fmbd.solve(scene_of("beam", "spring", ""), t_end=0.02, dt=1e-3, scheme=fmbd.Radau(5, rtol=None), output=ends)
+    assert not run.counters.get("halved_steps")
+    assert run.counters["newton_iterations"] < 9 * run.counters["steps"]

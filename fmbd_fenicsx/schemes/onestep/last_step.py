@@ -19,12 +19,15 @@ Stages = tuple[Array, Array, Array]  # xi, v and multipliers of each
 
 @dataclass(frozen=True)
 class LastStep:
-    """Its size h (s), q and v at its start, and its stages; of many steps with these as first axis."""
+    """Its size h (s), q and v at its start, its stages, and whether they were nearer to a straight way than to the polynomial of
+    the step before: it strays where vibrations are not resolved. Of many steps with these as first axis.
+    """
 
     h: Any
     q: Array
     v: Array
     points: Points
+    strays: Any = False
 
     def foretell(self, system: System, tab: Tableau, h: float, q: Array) -> Stages:
         """The stages of a step of size h (s) from its end, q, on."""
@@ -63,7 +66,8 @@ def keep_last(m: Memory, name: str, last: LastStep | None) -> LastStep | None:
 
     xi, rate, vs, vd = (rows(x, None if p is None else getattr(p, x)) for x in ("xi", "rate", "v", "vd"))
     points = Points(xi, rate, vs, vd, m("mult", None if p is None else p.mult))
-    return LastStep(m("h", h), m.like_q("q", q), m.like_v("v", v), points)
+    strays = bool(m("strays", last is not None and last.strays))
+    return LastStep(m("h", h), m.like_q("q", q), m.like_v("v", v), points, strays)
 
 
 @dataclass(frozen=True)
@@ -75,9 +79,20 @@ class StageStart:
     last: LastStep | None
 
     def predict(self, system: System, tab: Tableau, h: float) -> Stages:
-        """The stages of a step of size h (s): on the polynomial of the step before, or on the parabola at the start."""
-        if self.last is not None:
+        """The stages of a step of size h (s): on the polynomial of the step before, on a straight way where that one strayed,
+        on the parabola at a new start.
+        """
+        if self.last is not None and not self.last.strays:
             return self.last.foretell(system, tab, h, self.state.q)
         s, x = self.state, (tab.c * h)[:, None]
-        xi = x * s.v + 0.5 * x * x * s.a
-        return xi, s.v + x * s.a, np.repeat(self.mult[None], len(tab.c), axis=0)
+        a = s.a if self.last is None else np.zeros_like(s.a)
+        xi = x * s.v + 0.5 * x * x * a
+        return xi, s.v + x * a, np.repeat(self.mult[None], len(tab.c), axis=0)
+
+    def strays(self, system: System, tab: Tableau, h: float, xi: Array) -> bool:
+        """Whether the stages of a step of size h (s) are nearer to a straight way than to the polynomial of the step before."""
+        if self.last is None:
+            return False
+        ahead = self.last.foretell(system, tab, h, self.state.q)[0]
+        straight = (tab.c * h)[:, None] * self.state.v
+        return system.max_abs(straight - xi) < system.max_abs(ahead - xi)

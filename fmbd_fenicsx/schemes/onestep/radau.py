@@ -234,7 +234,8 @@ class RadauStepper(ImplicitStepper):
             points = replace(points, mult=mult)
 
         # stiffly accurate: the last stage is the new state
-        self._last = LastStep(h, s.q, s.v, points)
+        strays = self._start.strays(self.system, self.tab, h, points.xi)
+        self._last = LastStep(h, s.q, s.v, points, strays)
         self.mult = points.mult[-1]
         end = State(t, self.system.compose(s.q, points.xi[-1]), points.v[-1], acceleration, self.mult[:m])
         self.state = self._ended(h, end, self.mult)
@@ -294,7 +295,8 @@ class RadauStepper(ImplicitStepper):
         s, k, control, twin, iteration = self.state, len(self.tab.c), self.control, self._twin, self.iteration
         none: Array = np.zeros((k, len(s.v)))
         last = self._last or LastStep(0.0, s.q, s.v, Points(none, none, none, none, np.tile(self.mult, k)))
-        head = iteration.eta, iteration.h_rate, self.proposed or 0.0, control.h_old, control.error_old, last.h
+        found, kept = (iteration.eta, iteration.h_rate), (control.h_old, control.error_old)
+        head = *found, self.proposed or 0.0, *kept, float(last.strays), last.h
         q, v, xi, vs = twin.configurations(last.q), *map(twin.velocities, (last.v, last.points.xi, last.points.v))
         return np.concatenate((head, q, v, xi.ravel(), vs.ravel(), last.points.mult.ravel()))
 
@@ -328,23 +330,23 @@ class RadauStepper(ImplicitStepper):
     def _recall(self, kept: Array, factored: float) -> None:
         head, last = self._told(kept)
         iteration, control = self.iteration, self.control
-        iteration.eta, iteration.h_rate, proposed, h_old, error_old = map(float, head[:-1])
+        iteration.eta, iteration.h_rate, proposed, h_old, error_old = map(float, head[:-2])
         iteration.take_factors(factored)
         if self.adaptive:
             self.proposed, control.h_old, control.error_old = proposed, h_old, error_old
-        self._last, self.mult = replace(last, h=float(last.h)), last.points.mult[-1]
+        self._last, self.mult = replace(last, h=float(last.h), strays=bool(last.strays)), last.points.mult[-1]
 
     def _told(self, kept: Array) -> tuple[Array, LastStep]:
         """Numbers, and the step, of what the end of one keeps; of many likewise."""
         assert self._lent is not None
         twin, k = self._twin, len(self.tab.c)
         n, n_q = self._lent.stages.c.n, twin.system.n_q
-        head, q, v, *stages = np.split(kept, np.cumsum([6, n_q, n, k * n, k * n]), axis=-1)
+        head, q, v, *stages = np.split(kept, np.cumsum([7, n_q, n, k * n, k * n]), axis=-1)
         xi, vs, mult = (x.reshape(*kept.shape[:-1], k, -1) for x in stages)
         q, (v, xi, vs) = twin.places(q), map(twin.forces, (v, xi, vs))
-        h = head[..., -1]
+        strays, h = head[..., -2], head[..., -1]
         W = self.tab.W / h[..., None, None]
-        return head, LastStep(h, q, v, Points(xi, W @ xi, vs, W @ (vs - v[..., None, :]), mult))
+        return head, LastStep(h, q, v, Points(xi, W @ xi, vs, W @ (vs - v[..., None, :]), mult), strays)
 
     # -- states within steps ----------------------------------------------------------------------------------------
     def between(self, t: float) -> State | None:

@@ -1,18 +1,18 @@
 /* Steps of Radau, schemes/onestep/stage_newton.py and radau.py: constant ones, and those that error control chooses. */
 
 /* What it keeps with a state beside its work: what the last increment of Newton's iteration left, over its size, and the size of the step
-   in which that was seen; what error control keeps; the step that led there: its size (0: none), q (nq) and v (nv) at its start, its stages. The multipliers of the last of these are those of the state. */
+   in which that was seen; what error control keeps; the step that led there: whether it strayed from what the one before foretold, its size (0: none), q (nq) and v (nv) at its start, its stages. The multipliers of the last of these are those of the state. */
 typedef struct {
     double *share, *seen;
     Controlled *control;
-    double *h, *q, *v, *xi, *vs, *mult;
+    double *strays, *h, *q, *v, *xi, *vs, *mult;
 } Collocation;
 
 static Collocation collocation_at(const System *s, const Stages *g, double *own)
 {
     const long k = g->points, n = g->n;
-    double *x = own + WORK, *q = x + 3 + CONTROLLED, *v = q + s->nq, *xi = v + n, *vs = xi + k * n;
-    Collocation o = {x, x + 1, (Controlled *)(x + 2), x + 2 + CONTROLLED, q, v, xi, vs, vs + k * n};
+    double *x = own + WORK, *q = x + 4 + CONTROLLED, *v = q + s->nq, *xi = v + n, *vs = xi + k * n;
+    Collocation o = {x, x + 1, (Controlled *)(x + 2), x + 2 + CONTROLLED, x + 3 + CONTROLLED, q, v, xi, vs, vs + k * n};
     return o;
 }
 
@@ -22,41 +22,83 @@ static double first_share(const Implicit *o, const Collocation *known, double h)
     return h <= o->longer * *known->seen ? pow(fmax(*known->share, o->least_share), 0.8) : 1.0;
 }
 
-/* Stages on the polynomial of the last step, or on the parabola at the start. */
-static void foretell_stages(const System *s, Implicit *o, double h, const Block *now, const Collocation *last)
+/* Places of stages, n each, on a parabola of these velocities and accelerations, NULL: straight on. */
+static void places_on_parabola(const Implicit *o, double h, const double *v, const double *a, double *xi)
 {
-    Stages *g = o->stages;
-    const int n = g->n, k = g->points, width = g->size - n;
-    if (*last->h == 0.0) {
-        for (int j = 0; j < k; j++) {
-            double x = o->c[j] * h, *xi = g->xi + j * n, *v = g->v + j * n;
-            for (int i = 0; i < n; i++) {
-                xi[i] = x * now->v[i] + 0.5 * x * x * now->a[i];
-                v[i] = now->v[i] + x * now->a[i];
-            }
-            memcpy(g->mult + j * width, last->mult + (k - 1) * width, width * sizeof(double));
-        }
-
-        return;
+    const int n = o->stages->n;
+    for (int j = 0; j < o->stages->points; j++, xi += n) {
+        const double x = o->c[j] * h;
+        for (int i = 0; i < n; i++) xi[i] = x * v[i] + (a ? 0.5 * x * x * a[i] : 0.0);
     }
+}
 
-    double *ahead = o->mixed, *there = ahead + n;
+/* Powers of the time of stage j over the size of the last step, and its Lagrange polynomials there. */
+static void basis_ahead(const Implicit *o, int j, double h, const Collocation *last, double *term, double *basis)
+{
+    const int k = o->stages->points;
+    const double x = 1.0 + o->c[j] * h / *last->h;
+    term[0] = 1.0;
+    for (int i = 0; i < k; i++) term[i + 1] = x * term[i];
+    combine(1, k + 1, term, k + 1, o->basis, basis);
+}
+
+/* Places of stages, n each, on the polynomial of the last step. */
+static void places_ahead(const System *s, const Implicit *o, double h, const Block *now, const Collocation *last, double *xi)
+{
+    const Stages *g = o->stages;
+    const int n = g->n, k = g->points;
+    double *ahead = o->mixed, *there = ahead + n, term[8], basis[8];
     for (int j = 0; j < k; j++) {
-        double term[8], basis[8], levels[8], x = 1.0 + o->c[j] * h / *last->h, *xi = g->xi + j * n, *v = g->v + j * n;
-        term[0] = 1.0;
-        for (int i = 0; i < k; i++) term[i + 1] = x * term[i];
-        combine(1, k + 1, term, k + 1, o->basis, basis);
-        combine(1, k, term, k, o->stage_basis, levels);
-
+        basis_ahead(o, j, h, last, term, basis);
         combine(1, k, basis + 1, n, last->xi, ahead);
         configuration(s, last->q, ahead, there);
         add(ahead, -1.0, last->xi + (k - 1) * n, n);
-        driver_difference(s, 1, now->q, 0, there, 0, ahead, 0, xi);
+        driver_difference(s, 1, now->q, 0, there, 0, ahead, 0, xi + j * n);
+    }
+}
+
+/* Stages on the polynomial of the last step, on a straight way where that one strayed, or on the parabola at a new start. */
+static void foretell_stages(const System *s, Implicit *o, double h, const Block *now, const Collocation *last)
+{
+    Stages *g = o->stages;
+    const int n = g->n, k = g->points, width = g->size - n, begins = *last->h == 0.0;
+    if (begins || *last->strays) {
+        places_on_parabola(o, h, now->v, begins ? now->a : NULL, g->xi);
+        for (int j = 0; j < k; j++) {
+            memcpy(g->v + j * n, now->v, n * sizeof(double));
+            if (begins) add(g->v + j * n, o->c[j] * h, now->a, n);
+            memcpy(g->mult + j * width, last->mult + (k - 1) * width, width * sizeof(double));
+        }
+        return;
+    }
+
+    places_ahead(s, o, h, now, last, g->xi);
+    for (int j = 0; j < k; j++) {
+        double term[8], basis[8], levels[8], *v = g->v + j * n;
+        basis_ahead(o, j, h, last, term, basis);
+        combine(1, k, term, k, o->stage_basis, levels);
         memcpy(v, last->v, n * sizeof(double));
         for (int l = 0; l < k; l++)
             for (int i = 0; i < n; i++) v[i] += basis[l + 1] * (last->vs[l * n + i] - last->v[i]);
         combine(1, k, levels, width, last->mult, g->mult + j * width);
     }
+}
+
+/* Whether the stages are nearer to a straight way than to the polynomial of the last step, as where vibrations are not resolved. */
+static int stages_stray(const System *s, const Implicit *o, double h, const Block *now, const Collocation *last)
+{
+    const Stages *g = o->stages;
+    const int count = g->n * g->points;
+    double *way = g->rate, far[2];
+    if (*last->h == 0.0) return 0;
+
+    for (int straight = 0; straight < 2; straight++) {
+        if (straight) places_on_parabola(o, h, now->v, NULL, way);
+        else places_ahead(s, o, h, now, last, way);
+        add(way, -1.0, g->xi, count);
+        far[straight] = largest_length(s, g, g->points, way);
+    }
+    return far[1] < far[0];
 }
 
 /* v - v_n of the stages, in ``change``, and rates of both. */
@@ -144,8 +186,9 @@ static int end_radau(System *s, Implicit *o, const double *p, const Block *now, 
 {
     const Stages *g = o->stages;
     const int n = g->n, k = g->points, width = g->size - n;
-    const Collocation made = collocation_at(s, g, out.own);
+    const Collocation last = collocation_at(s, g, now->own), made = collocation_at(s, g, out.own);
     int verdict;
+    *made.strays = stages_stray(s, o, p[H], now, &last);
     *made.h = p[H];
     rates_of_stages(o, now, o->mixed);
     if ((verdict = end_motion(s, o, p, now, out))) return verdict;
