@@ -16,7 +16,8 @@ from fmbd_fenicsx.linear import configuration_warnings
 from fmbd_fenicsx.linear.configuration_warnings import CLOSE, NearSingular
 from fmbd_fenicsx.matrices import singular_values
 from fmbd_fenicsx.schemes.marching import MarchingStepper
-from fmbd_fenicsx.system.mobility import Mobility, nearly_dependent, rows_are_independent
+from fmbd_fenicsx.system.dependence import rows_are_independent
+from fmbd_fenicsx.system.mobility import Mobility, nearly_dependent
 
 BAR = (0.01, 0.08, 0.08)
 
@@ -539,7 +540,7 @@ def chain_of(links: int, closed: bool) -> fmbd.Scene:
 @pytest.mark.parametrize("links", [3, 150])  # dense and sparse rows
 @pytest.mark.parametrize("closed", [False, True])
 def test_independent_rows_are_told_without_singular_values(links: int, closed: bool) -> None:
-    from fmbd_fenicsx.system.mobility import mobility, rows_are_independent
+    from fmbd_fenicsx.system.mobility import mobility
 
     system, state, _ = chain_of(links, closed).build()
     ev = system.at(state.t, state.q)
@@ -561,3 +562,29 @@ def test_conditioning_of_two_distances_at_a_small_angle() -> None:
         scene.add(fmbd.distance(f"link {k}", fmbd.ground, point, point_a=place, point_b=(0.0, 0.0), length=1.0))
     system, state, _ = scene.build()
     assert mobility(system.at(state.t, state.q)).conditioning == pytest.approx(np.tan(0.5 * a), rel=1e-9)
+
+
+@pytest.mark.parametrize("wheels", [15, 110])  # with singular values, and more rows than have any
+def test_a_train_that_reduces_and_comes_back_moves_as_one(wheels: int) -> None:
+    """Gears r, .., r, 1/r, .., 1/r: all wheels count on the first shaft, J = J_0 sum r^(2 k), however slow the middle one is."""
+    ratio = 3.0 ** (-15.0 / wheels)
+    slow = [min(i, 2 * wheels - i) for i in range(2 * wheels + 1)]
+    scene = fmbd.Scene("train", gravity=(0.0, 0.0))
+    before: Any = None
+    for i in range(len(slow)):
+        wheel = fmbd.RigidBody(f"wheel {i}", 1.0, 0.1, (float(i), 0.0))
+        pin = fmbd.revolute(f"pin {i}", fmbd.ground, wheel, center=(float(i), 0.0))
+        scene.add(wheel, pin)
+        if before is not None:
+            r = ratio if i <= wheels else 1.0 / ratio
+            scene.add(fmbd.gear(f"gear {i}", fmbd.angle(before), fmbd.angle(pin), ratio=-r))
+        before = pin
+    scene.add(fmbd.torque("push", scene.bodies["wheel 0"], lambda t: 0.3))
+    for i in (0, 2 * wheels):
+        scene.sensor(f"turn {i}", fmbd.angle(scene.joints[f"pin {i}"]))
+
+    assert scene.check().redundant == 0
+    run = fmbd.solve(scene, t_end=0.1, dt=0.01, output=fmbd.Output(progress=False))
+    turn = 0.5 * 0.3 / (0.1 * sum(ratio ** (2 * k) for k in slow)) * 0.1**2
+    assert run["turn 0"][-1] == pytest.approx(turn, rel=1e-6)
+    assert run[f"turn {2 * wheels}"][-1] == pytest.approx(turn, rel=1e-6)

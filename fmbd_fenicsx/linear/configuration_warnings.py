@@ -6,17 +6,14 @@ import numpy as np
 
 from ..log import log
 from ..rotations import Array
+from ..system.dependence import CERTAIN, NEAR_SINGULAR, rows_are_independent, rows_differ
 from ..system.evaluation import Evaluation
 from ..system.lengths import Measured
 from ..system.mobility import (
     ALIKE,
-    CERTAIN,
-    NEAR_SINGULAR,
     mobility,
     nearly_dependent,
     nearly_the_same,
-    rows_are_independent,
-    rows_differ,
 )
 
 CLOSE = 1e-3  # sigma_min / sigma_max of a position close to a singular one

@@ -18,9 +18,9 @@ from ..system.compiled.states.evaluation import DriverStates
 from ..system.compiled.states.explicit import ExplicitStates, Found, Stage
 from ..system.compiled.states.field_states import FactoredFieldStates, FieldStates
 from ..system.compiled.states.means import MeanStates
+from ..system.dependence import rows_are_independent
 from ..system.evaluation import Evaluation
 from ..system.layout import State, States
-from ..system.mobility import rows_are_independent
 from ..system.system import System
 from .blocks.field_blocks import FactoredField, FieldBlocks, Weights
 from .core import CoreSolver

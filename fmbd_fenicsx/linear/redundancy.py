@@ -22,9 +22,10 @@ from scipy.sparse.linalg import splu
 
 from ..matrices import dense
 from ..rotations import Array
+from ..system.dependence import DEPENDENT
 from ..system.evaluation import Evaluation
 from ..system.layout import State
-from ..system.mobility import DEPENDENT, SOFT
+from ..system.mobility import SOFT
 from .condensation import StepSolver
 from .configuration_warnings import CORRECTIONS
 

@@ -1,51 +1,37 @@
 """Mobility of a scene: degrees of freedom, rank of the constraints, redundant rows by joint, signs of unusual input.
 
-The constraint Jacobian is scaled, G_s = E G D, E the inverse row norms of G D, so that its singular values do not depend on
-units: D counts turns at the model's length, as if all frames had one mass m and the inertia m L^2. What depends is a matter
-of places alone: by their own masses rows on both sides of a body of hardly any mass look the same. Nodal displacements enter
-through the ports p = P w with a factor of P P^T. With U_0 the left vectors of singular values below sigma_1 DEPENDENT,
+With U_0 the left vectors of singular values that count as zero, see :mod:`.dependence`,
 
     freedom = velocities - rank,   redundancy = rows - rank = sum over joints of |U_0 rows of the joint|^2          (1)
-
-Why there: wherever bodies turn, such rows open by a few times that share of the model's length, less than a step may leave open
-(``SHUT`` of :mod:`~fmbd_fenicsx.system.lengths`), so that nobody can tell them from rows that are the same.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
-from scipy.linalg.lapack import dpotrf, dpotrs
-from scipy.sparse.linalg import splu
 
 from ..energies import MixedEnergy
 from ..log import log
-from ..matrices import dense, singular_values
-from ..mechanics.bodies.coordinates import CoordinatePart
+from ..matrices import singular_values
 from ..mechanics.forces.dry_friction import DryFriction
 from ..mechanics.forces.force_elements import ScalarLoads
 from ..mechanics.joints.joints import ground
 from ..mechanics.reduction.reduced import ReducedPart
 from ..rotations import Array
 from .compiled.declarations import constants
+from .dependence import DEPENDENT, NEAR_SINGULAR, rows_are_independent, scaled_jacobian, scaled_rows
 from .evaluation import Evaluation
 from .held_modes import stiff_modes
-from .lengths import FITS, SHUT
+from .lengths import FITS
 from .system import System
 
-DEPENDENT = 0.1 * SHUT  # singular values below this share of the largest belong to rows that depend on each other
 (SOFT,) = constants("parts.h", "SOFT")  # share of a row's compliance that solutions beside dependent rows add
 ALIKE = 1e-10  # those below this share leave nothing that could be seen in multipliers
 CLEAR = math.sqrt(SOFT)  # rows that solutions beside dependent ones hold apart in one increment
-NEAR_SINGULAR = 1e-6
 LEAST_SHARE = 0.005  # of a row, that is listed
-CERTAIN = 1e-5  # smallest over largest singular value above which a Gram matrix shows that rows are independent
-INVERSE_ITERATIONS = 4
 YIELDING = 0.1  # rad, or of the model's length: dry friction that gives way by more before it slides is told
 LOCKED = 1e-2  # part of modes in rows, over that of what moves them most, below which they are not meant to give way
 LOCKED_LOOK = 300  # constraint rows up to which modes are looked at
@@ -99,126 +85,6 @@ class Mobility:
         return "\n".join(lines + [f"  note: {n}" for n in self.notes])
 
 
-def _masses(ev: Evaluation) -> Array:
-    """1 / D^2 of G_s over the core, (n_core,): frames of one mass, the largest; 1 for the modes of reduced bodies."""
-    s = ev.system
-    n, d = s.motions.n_twist, s.motions.dim
-    frames, mass = np.zeros((s.n_frames, n)), np.ones(s.n_core)
-    if s.rigid is not None:
-        frames[s.rigid.frame] = np.diagonal(s.rigid.matrices(), axis1=1, axis2=2)
-    # elastic bodies: the inertia of their frames at rest
-    for _, p in s.fields:
-        if p.frame < s.n_frames:
-            frames[p.frame] = np.diag(p.mass_blocks(_at_rest(ev, p.frame), np.zeros(p.n))[0])
-
-    for k, part in s.core_parts:
-        local: Any = part
-        if isinstance(local, CoordinatePart):
-            mass[s.slices[1][k]] = np.diag(local.mass(s.local_q(ev.q, k)))
-
-    # those of reduced bodies and rods alone count as the mass of all
-    frames[:] = frames[:, :d].max(initial=0.0) or s.mass or 1.0
-    frames[:, d:] *= s.length**2
-    mass[: frames.size] = frames.ravel()
-    return np.where(mass > 0, mass, mass.max(initial=1e-300))
-
-
-def scaled_jacobian(ev: Evaluation) -> Array:
-    """G_s of (1), dense (n_lam, n_core + ports of fields)."""
-    G = dense(ev.jacobian.core) / np.sqrt(_masses(ev))
-
-    # ports of fields beside the core, of its size
-    typical = float(np.abs(G).max(initial=1.0))
-    columns = [G]
-    for k, part in ev.system.fields:
-        ports = ev.jacobian.port[:, ev.system.port_slice(k)] @ _port_factor(ev, k, part)
-        size = max(float(np.abs(ports).max(initial=0.0)), 1.0)
-        columns.append(typical * ports / size)
-
-    G = np.concatenate(columns, axis=1)
-    norms = np.sqrt((G * G).sum(1))
-    return np.asarray(G / np.where(norms > 0, norms, 1.0)[:, None])
-
-
-def rows_are_independent(ev: Evaluation, above: float = CERTAIN) -> bool:
-    """Whether the constraint rows certainly do not depend on each other; False where a closer look is needed, :func:`mobility`.
-    ``above``: sigma_min / sigma_max that they have.
-
-    A factor of G_s G_s^T and a few inverse iterations tell its smallest eigenvalue, sigma_min^2: for chains and trees the work is
-    proportional to their length. Squares hide what is below 1e-8, so only sigma_min > 1e-5 sigma_max is certain.
-    """
-    s, core = ev.system, ev.jacobian.core
-    if s.fields or not sp.issparse(core):
-        G: Any = scaled_jacobian(ev)
-        gram = G @ G.T
-        factor, fault = dpotrf(gram, lower=1)
-        if fault:
-            return False
-
-        def solve(x: Array) -> Array:
-            return np.asarray(dpotrs(factor, x, lower=1)[0])
-    else:
-        G = core.tocsr() @ sp.diags(1.0 / np.sqrt(_masses(ev)))
-        size = np.sqrt(np.asarray(G.multiply(G).sum(axis=1)).ravel())
-        G = sp.diags(1.0 / np.where(size > 0, size, 1.0)) @ G
-        gram = (G @ G.T).tocsc()
-        try:
-            solve = splu(gram, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0).solve
-        except RuntimeError:  # a pivot is zero
-            return False
-
-    largest = float(abs(gram).sum(axis=0).max())
-    return certainly_regular(solve, s.n_lam, largest, above)
-
-
-def rows_differ(ev: Evaluation) -> bool:
-    """Whether rows that are too many for singular values are further from dependence than roundoff of G_s G_s^T tells."""
-    return rows_are_independent(ev, math.sqrt(ev.system.n_lam * np.finfo(float).eps))
-
-
-def certainly_regular(solve: Callable[[Array], Array], count: int, largest: float, above: float = CERTAIN) -> bool:
-    """Whether inverse iterations show that a Gram matrix of ``count`` rows has no eigenvalue near zero; ``solve``: by its factor,
-    ``largest``: bound of its largest eigenvalue, ``above``: sigma_min / sigma_max that is asked for.
-    """
-    x = 1.0 + 0.5 * np.cos(np.arange(count))  # no special direction
-    inverse = 0.0
-    # each solve brings out the smallest eigenvalue more
-    for _ in range(INVERSE_ITERATIONS):
-        x = solve(x / np.sqrt(x @ x))
-        inverse = math.sqrt(x @ x)
-        if not math.isfinite(inverse):
-            return False
-    return bool(inverse * largest < 1.0 / above**2)
-
-
-def _port_factor(ev: Evaluation, k: int, part: Any) -> Array:
-    """F with F F^T = P P^T for the ports p = P w of field k: two ties that share nodes may depend on each other.
-
-    It stays while the ports are where they are.
-    """
-    cache, version = ev.system.cache, part.column_version(ev.t)
-    known = cache.get(("port factor", k))
-    if known is None or known[0] != version:
-        known = cache["port factor", k] = version, _gram_factor(part.port_gram(ev.t))
-    return np.asarray(known[1])
-
-
-def _gram_factor(gram: Array) -> Array:
-    """F with F F^T = ``gram``, that of ports of different size."""
-    size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-    values, vectors = np.linalg.eigh(gram / np.outer(size, size))
-    # eigenvalues of roundoff stand for ports that depend on others
-    values[values < 1e-13 * len(size)] = 0.0
-    return np.asarray(size[:, None] * vectors * np.sqrt(values))
-
-
-def _at_rest(ev: Evaluation, frame: int) -> Any:
-    from ..mechanics.placements import FrameMotion
-
-    n, d = ev.system.motions.n_twist, ev.system.motions.dim
-    return FrameMotion(ev.t, ev.rotation[frame], np.zeros(n), None, np.zeros(d))
-
-
 def mobility(ev: Evaluation) -> Mobility:
     """Mobility of a system in one configuration."""
     system = ev.system
@@ -226,8 +92,7 @@ def mobility(ev: Evaluation) -> Mobility:
     if not system.n_lam:
         return Mobility(velocities, 0, 0, {}, 1.0, 0.0)
 
-    U, s, _ = singular_values(scaled_jacobian(ev))
-    rank = int((s > DEPENDENT * s[0]).sum())
+    U, s, rank = scaled_rows(ev)
     loose = (U[:, rank:] ** 2).sum(1)  # the share of each row in what depends on others
     # dependence has no culprit: every row that takes part bears its share
     shares = {b.name: float(loose[b.rows].sum()) for b in system.blocks}
@@ -236,18 +101,18 @@ def mobility(ev: Evaluation) -> Mobility:
         system.n_lam,
         rank,
         {name: x for name, x in shares.items() if x > 1e-6},
-        float(s[rank - 1] / s[0]) if rank else 0.0,
+        float(s[rank - 1]) if rank else 0.0,
         float(np.abs(ev.constraint()).max()),
-        misfit=float(s[rank] / s[0]) if 0 < rank < len(s) else 0.0,
+        misfit=float(s[rank]) if 0 < rank < len(s) else 0.0,
     )
 
 
 def nearly_dependent(ev: Evaluation, rank: int) -> tuple[float, str]:
     """sigma_rank / sigma_1 of the scaled G, and the joint with the largest part in that smallest singular vector."""
-    U, s, _ = singular_values(scaled_jacobian(ev), full=False)
+    U, s, _ = scaled_rows(ev)
     k = min(rank, len(s)) - 1
     part = {b.name: float((U[b.rows, k] ** 2).sum()) for b in ev.system.blocks}
-    return float(s[k] / s[0]), max(part, key=lambda name: part[name])
+    return float(s[k]), max(part, key=lambda name: part[name])
 
 
 def nearly_the_same(ev: Evaluation, found: Mobility) -> str:
@@ -257,7 +122,7 @@ def nearly_the_same(ev: Evaluation, found: Mobility) -> str:
     """
     if not found.redundant or not found.rank or found.conditioning >= CLEAR:
         return ""
-    vector = singular_values(scaled_jacobian(ev))[0][:, found.rank - 1] ** 2
+    vector = scaled_rows(ev)[0][:, found.rank - 1] ** 2
     joints = ", ".join(f'"{b.name}"' for b in ev.system.blocks if vector[b.rows].sum() > 0.1)
     return (
         f"joints {joints} hold nearly the same: what they hold beyond each other moves by {found.conditioning:.1e} of what "

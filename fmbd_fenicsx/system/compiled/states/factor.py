@@ -14,7 +14,7 @@ import numpy as np
 
 from ....kernel_cache import address_of
 from ....rotations import Array
-from ...mobility import certainly_regular
+from ...dependence import CERTAIN, inverse_iterated
 from .exchange import Exchange
 
 if TYPE_CHECKING:
@@ -158,7 +158,7 @@ class DriverFactor:
 
     def independent(self) -> bool:
         """Whether the rows certainly do not depend on each other, by the factor with masses only: as
-        :func:`~fmbd_fenicsx.system.mobility.rows_are_independent`, with the true inertia.
+        :func:`~fmbd_fenicsx.system.dependence.rows_are_independent`, with the true inertia.
         """
         assert self.held is not None
         states = self.states
@@ -173,4 +173,4 @@ class DriverFactor:
             states.library.driver_solve(states.address, 1, *places, self._given.at[2], *self._found.at)
             return np.asarray(size * found)
 
-        return certainly_regular(solve, len(size), states.tables.structure.shape.largest)
+        return bool(inverse_iterated(solve, len(size))[0] * states.tables.structure.shape.largest < 1.0 / CERTAIN**2)

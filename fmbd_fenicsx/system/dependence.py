@@ -1,0 +1,220 @@
+"""Which rows of constraints depend on each other, whatever bodies weigh and however far gears reduce.
+
+The constraint Jacobian is scaled,
+
+    G_s = E G D,        E: inverse row norms of G D                                                                     (1)
+
+so that its singular values do not depend on units: D counts turns at the model's length, as if all frames had one mass m and the
+inertia m L^2. What depends is a matter of places alone: by their own masses rows on both sides of a body of hardly any mass look
+the same. Nodal displacements enter through the ports p = P w with a factor of P P^T. Rows depend where singular values are below
+sigma_1 DEPENDENT: wherever bodies turn, such rows open by a few times that share of the model's length, less than a step may
+leave open (``SHUT`` of :mod:`.lengths`), so that nobody can tell them from rows that are the same.
+
+That is so of motions of the model's size. A wheel behind many gears turns by less than others, and its row is as exact as theirs:
+with the left vectors U of small singular values
+
+    w_f^2 = sum over rows i of |G_if|^2 |U_i|^2,        G_if: part of row i at frame f                                  (2)
+
+is what these bear at a frame, and rows are independent that are so with the columns of each frame over its w.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.linalg.lapack import dpotrf, dpotrs
+from scipy.sparse.linalg import splu
+
+from ..matrices import dense, singular_values
+from ..mechanics.bodies.coordinates import CoordinatePart
+from ..rotations import Array
+from .evaluation import Evaluation
+from .lengths import SHUT
+
+EPS = float(np.finfo(float).eps)
+DEPENDENT = 0.1 * SHUT  # singular values below this share of the largest belong to rows that depend on each other
+NEAR_SINGULAR = 1e-6
+CERTAIN = 1e-5  # smallest over largest singular value above which a Gram matrix shows that rows are independent
+INVERSE_ITERATIONS = 4
+SCALINGS = 2  # (1), and (2)
+LEAST_BORNE = math.sqrt(EPS)  # w of (2): roundoff over it is below DEPENDENT
+
+
+def _masses(ev: Evaluation) -> Array:
+    """1 / D^2 of G_s over the core, (n_core,): frames of one mass, the largest; 1 for the modes of reduced bodies."""
+    s = ev.system
+    n, d = s.motions.n_twist, s.motions.dim
+    frames, mass = np.zeros((s.n_frames, n)), np.ones(s.n_core)
+    if s.rigid is not None:
+        frames[s.rigid.frame] = np.diagonal(s.rigid.matrices(), axis1=1, axis2=2)
+    # elastic bodies: the inertia of their frames at rest
+    for _, p in s.fields:
+        if p.frame < s.n_frames:
+            frames[p.frame] = np.diag(p.mass_blocks(_at_rest(ev, p.frame), np.zeros(p.n))[0])
+
+    for k, part in s.core_parts:
+        local: Any = part
+        if isinstance(local, CoordinatePart):
+            mass[s.slices[1][k]] = np.diag(local.mass(s.local_q(ev.q, k)))
+
+    # those of reduced bodies and rods alone count as the mass of all
+    frames[:] = frames[:, :d].max(initial=0.0) or s.mass or 1.0
+    frames[:, d:] *= s.length**2
+    mass[: frames.size] = frames.ravel()
+    return np.where(mass > 0, mass, mass.max(initial=1e-300))
+
+
+def scaled_jacobian(ev: Evaluation) -> Array:
+    """G_s of (1), dense (n_lam, n_core + ports of fields)."""
+    G = dense(ev.jacobian.core) / np.sqrt(_masses(ev))
+
+    # ports of fields beside the core, of its size
+    typical = float(np.abs(G).max(initial=1.0))
+    columns = [G]
+    for k, part in ev.system.fields:
+        ports = ev.jacobian.port[:, ev.system.port_slice(k)] @ _port_factor(ev, k, part)
+        size = max(float(np.abs(ports).max(initial=0.0)), 1.0)
+        columns.append(typical * ports / size)
+
+    return _normed(np.concatenate(columns, axis=1))
+
+
+def scaled_rows(ev: Evaluation) -> tuple[Array, Array, int]:
+    """Left singular vectors of G_s, singular values over the largest, and the rank; with (2) where rows depend less then."""
+    G = scaled_jacobian(ev)
+    U, s, clear = _singular(G)
+    near = U[:, clear:]
+    if clear < len(G):
+        frames = _frames(ev)
+        borne = _borne(G, frames, near)
+        left = np.sqrt(frames.T @ ((G.T @ near) ** 2).sum(1))
+        if (left > np.maximum(DEPENDENT * borne, len(G) * EPS)).any():
+            V, size, now = _singular(_evened(G, frames, borne))
+            U, s = (V, size) if now > clear else (U, s)
+    return U, s, int((s > DEPENDENT).sum())
+
+
+def _singular(G: Array) -> tuple[Array, Array, int]:
+    """Left singular vectors, singular values over the largest, and how many of these are far from zero."""
+    U, s, _ = singular_values(G, full=G.shape[0] > G.shape[1])
+    s = s / s[0]
+    return U, s, int((s > NEAR_SINGULAR).sum())
+
+
+def _frames(ev: Evaluation) -> Any:
+    """Which frame a column of G_s is of, (columns, frames): 1 there; what a body has beside its frame goes with it."""
+    s = ev.system
+    counts = [s.motions.n_twist] * s.n_frames
+    frames = list(range(s.n_frames))
+    for span, parts in ((s.slices[1], s.core_parts), (s.slices[2], s.fields)):
+        counts += [span[k].stop - span[k].start for k, _ in parts]
+        frames += [min(getattr(part, "frame", s.n_frames), s.n_frames + k) for k, part in parts]
+    of = np.repeat(frames, counts)
+    return sp.csr_array((np.ones(len(of)), (np.arange(len(of)), of)))
+
+
+def _borne(G: Any, frames: Any, vectors: Array) -> Array:
+    """w of (2), (frames,), for vectors (rows, k)."""
+    square = G.multiply(G) if sp.issparse(G) else G * G
+    return np.asarray(np.sqrt(frames.T @ (square.T @ (vectors * vectors).sum(1))))
+
+
+def _evened(G: Any, frames: Any, borne: Array) -> Any:
+    """G over w of (2), its rows of norm 1."""
+    return _normed(G @ sp.diags_array(frames @ (1.0 / np.maximum(borne, LEAST_BORNE))))
+
+
+def _normed(G: Any) -> Any:
+    """Rows of norm 1, those of zeros as they are."""
+    square = G.multiply(G) if sp.issparse(G) else G * G
+    size = np.sqrt(np.asarray(square.sum(axis=1)).ravel())
+    return sp.diags_array(1.0 / np.where(size > 0, size, 1.0)) @ G
+
+
+def rows_are_independent(ev: Evaluation, above: float = CERTAIN) -> bool:
+    """Whether the constraint rows certainly do not depend on each other; False where a closer look is needed,
+    :func:`scaled_rows`. ``above``: sigma_min / sigma_max that they have; up to CERTAIN also with (2).
+
+    A factor of G_s G_s^T and a few inverse iterations tell its smallest eigenvalue, sigma_min^2: for chains and trees the work is
+    proportional to their length. Squares hide what is below 1e-8, so only sigma_min > 1e-5 sigma_max is certain.
+    """
+    s, core = ev.system, ev.jacobian.core
+    whole = s.fields or not sp.issparse(core)
+    G: Any = scaled_jacobian(ev) if whole else _normed(core.tocsr() @ sp.diags_array(1.0 / np.sqrt(_masses(ev))))
+    for _ in range(SCALINGS if above <= CERTAIN else 1):
+        solve, largest = _gram(G)
+        if solve is None:
+            return False
+        inverse, x = inverse_iterated(solve, s.n_lam)
+        if inverse * largest < 1.0 / above**2:
+            return True
+        if not math.isfinite(inverse):
+            return False
+        frames = _frames(ev)
+        G = _evened(G, frames, _borne(G, frames, x[:, None] / inverse))
+    return False
+
+
+def _gram(G: Any) -> tuple[Callable[[Array], Array] | None, float]:
+    """What solves with G G^T, None where it has no factor, and a bound of its largest eigenvalue."""
+    gram = G @ G.T
+    largest = float(abs(gram).sum(axis=0).max())
+    if sp.issparse(gram):
+        try:
+            return splu(gram.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0).solve, largest
+        except RuntimeError:  # a pivot is zero
+            return None, largest
+    factor, fault = dpotrf(gram, lower=1)
+    return (None if fault else lambda x: np.asarray(dpotrs(factor, x, lower=1)[0])), largest
+
+
+def rows_differ(ev: Evaluation) -> bool:
+    """Whether rows that are too many for singular values are further from dependence than roundoff of G_s G_s^T tells."""
+    return rows_are_independent(ev, math.sqrt(ev.system.n_lam * np.finfo(float).eps))
+
+
+def inverse_iterated(solve: Callable[[Array], Array], count: int) -> tuple[float, Array]:
+    """A lower bound of the largest eigenvalue of the inverse of a Gram matrix of ``count`` rows, by its factor ``solve``, or
+    infinity; and a vector of that norm.
+    """
+    x = 1.0 + 0.5 * np.cos(np.arange(count))  # no special direction
+    inverse = 0.0
+    # each solve brings out the smallest eigenvalue more
+    for _ in range(INVERSE_ITERATIONS):
+        x = solve(x / np.sqrt(x @ x))
+        inverse = math.sqrt(x @ x)
+        if not math.isfinite(inverse):
+            return math.inf, x
+    return inverse, x
+
+
+def _port_factor(ev: Evaluation, k: int, part: Any) -> Array:
+    """F with F F^T = P P^T for the ports p = P w of field k: two ties that share nodes may depend on each other.
+
+    It stays while the ports are where they are.
+    """
+    cache, version = ev.system.cache, part.column_version(ev.t)
+    known = cache.get(("port factor", k))
+    if known is None or known[0] != version:
+        known = cache["port factor", k] = version, _gram_factor(part.port_gram(ev.t))
+    return np.asarray(known[1])
+
+
+def _gram_factor(gram: Array) -> Array:
+    """F with F F^T = ``gram``, that of ports of different size."""
+    size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    values, vectors = np.linalg.eigh(gram / np.outer(size, size))
+    # eigenvalues of roundoff stand for ports that depend on others
+    values[values < 1e-13 * len(size)] = 0.0
+    return np.asarray(size[:, None] * vectors * np.sqrt(values))
+
+
+def _at_rest(ev: Evaluation, frame: int) -> Any:
+    from ..mechanics.placements import FrameMotion
+
+    n, d = ev.system.motions.n_twist, ev.system.motions.dim
+    return FrameMotion(ev.t, ev.rotation[frame], np.zeros(n), None, np.zeros(d))
