@@ -40,7 +40,7 @@ class Measured(Layout):
         return self._of_rows(self.length)
 
     @cached_property
-    def in_lengths(self) -> Array:
+    def in_lengths(self) -> np.ndarray:
         """Whether :attr:`row_units` makes lengths of rows, (n_lam,): equations of a user's own are in units of their own."""
         out = np.ones(self.n_lam, dtype=bool)
         for law, rows in self.port_constraints:

@@ -156,7 +156,8 @@ class Closed(Remembering):
     @cached_property
     def units(self) -> Array:
         """u of (1), (n_lam,); 0 where there is no length to judge by."""
-        return self.system.row_units * self.system.in_lengths
+        s = self.system
+        return s.row_units * s.in_lengths if s.port_constraints else s.row_units
 
     def check_tape(self, seen: Any, t: float) -> None:
         """The same for records of compiled steps up to time t (s), the first that is open by (1) as :meth:`check` does."""
