@@ -191,6 +191,20 @@ def test_sudden_axial_force_on_a_slender_body(kind: str, compiled: bool) -> None
     assert not run.counters.get("halved_steps")
 
 
+@pytest.mark.parametrize("compiled", [True, False])
+def test_what_steps_resolve_begins_as_it_would_alone(compiled: bool) -> None:
+    """A mass on a spring with w h = 0.3 beside one with w h = 100: O(h^4 w^4) of its first acceleration is lost."""
+    found = []
+    for masses in ((("slow", 30.0, 0.01),), (("slow", 30.0, 0.01), ("fast", 1e4, 1e-3))):
+        scene = fmbd.Scene("masses")
+        for name, rate, aside in masses:
+            mass = scene.add(fmbd.PointMass(name, 1.0, (1.0 + aside, 0.0)))
+            scene.add(fmbd.Spring(f"on {name}", fmbd.ground, mass, stiffness=rate**2, length=1.0))
+        scene.sensor("speed", fmbd.velocity(scene.bodies["slow"]))
+        found.append(solved(scene, 0.2, 0.01, compiled=compiled)["speed"])
+    np.testing.assert_allclose(found[1], found[0], rtol=0, atol=3e-4 * np.abs(found[0]).max())
+
+
 def test_damped_starts_go_on_from_a_checkpoint_and_in_compiled_code(
     rod_mesh: Callable[..., Any], tmp_path: Path
 ) -> None:

@@ -144,6 +144,15 @@ def test_what_was_refused_for_another_reason_is_not_tried_with_larger_steps() ->
     assert two_in_one(solved) is None
 
 
+@pytest.mark.parametrize(("slow", "quick", "told"), [(0.0, 0.5, True), (0.0, 0.05, False), (1.0, 0.3, False)])
+def test_vibrations_are_left_out_where_most_of_an_error_is_most_of_them(slow: float, quick: float, told: bool) -> None:
+    """Of a series that turns at each end: half of it missed, a twentieth, and errors that are slow for the most part."""
+    t = np.linspace(0.0, 1.0, 41)[:, None]
+    turning, arch = np.cos(40 * np.pi * t), np.sin(np.pi * t)
+    error = Deviation(t[:, 0], slow * arch + quick * turning)
+    assert unresolved(error, Deviation(t[:, 0], arch + turning)) == told
+
+
 def test_vibrations_that_larger_steps_leave_out_are_stated() -> None:
     """The end of a bar of unit wave speed, pulled by sin^2, beside its series: 3/4 of the order stated 0.35 of the error."""
     mesh = fmbd.read_gmsh(MESHES / "block.py", size=(1.0, 0.1), counts=(6, 1), origin=(0.0, 0.0), quads=True)

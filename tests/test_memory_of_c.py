@@ -45,6 +45,7 @@ FILES = (
     "substructures",
     "sums",
     "whole_forces",
+    "wires",
 )
 
 
