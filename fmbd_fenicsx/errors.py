@@ -56,16 +56,20 @@ class ConstraintError(FmbdError):
 
 
 class LinearSolveError(FmbdError):
-    """A linear solve failed its residual test; ``motion``: of the core, where it is one that nothing determines."""
+    """A linear solve failed its residual test; ``motion``: of the core, where it is one that nothing determines; ``halted``: see
+    :class:`ConvergenceError`.
+    """
 
     exit_code = 71
     motion: Any = None
+    halted: tuple[float, float] | None = None
 
 
 class ConvergenceError(FmbdError):
-    """Newton's iteration or the step control gave up."""
+    """Newton's iteration or the step control gave up; ``halted``: when a march did, and the mean of its steps up to then, s."""
 
     exit_code = 71
+    halted: tuple[float, float] | None = None
 
 
 class StabilityError(ConvergenceError):

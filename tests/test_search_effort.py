@@ -25,6 +25,7 @@ from fmbd_fenicsx.run.accuracy.search import (
     shared_tolerances,
     tolerance,
 )
+from fmbd_fenicsx.run.accuracy.search.failures import Failures
 from fmbd_fenicsx.run.schedule import StepSchedule
 from fmbd_fenicsx.schemes.onestep.alpha.alpha_stepper import AlphaStepper
 from fmbd_fenicsx.system.evaluation import Evaluation
@@ -336,3 +337,27 @@ def test_an_attempt_far_dearer_than_all_before_is_foretold(monkeypatch: pytest.M
     chosen = tolerance._first(pendulum(), own, 1.0, None)
     assert "is expected to take 128 s" in foretell(chosen, 0, before, replace(last, seconds=8.0))[0]
     assert not foretell(chosen, 0, before, last) and not foretell(chosen, 0, last)
+
+
+def test_searches_end_where_no_smaller_step_gets_farther() -> None:
+    """x'' = 40 x^3 has a pole at 0.29 s: the third run that ends there was followed by four more, of up to 409600 steps."""
+    scene, body = fmbd.Scene("pole"), fmbd.RigidBody("body", 1.0, 1.0, (1.0, 0.0))
+    scene.add(body, fmbd.prismatic("rail", fmbd.ground, body, axis=(1.0, 0.0), center=(0.0, 0.0)))
+    scene.add(fmbd.own_force("push", body, None, lambda t, a: (np.array([40.0 * a.x[0] ** 3, 0.0]), 0.0)))
+    scene.sensor("x", fmbd.position(body))
+    with pytest.raises(ConvergenceError, match=r"step \d+ of 1600: .* t = 0\.293"):
+        fmbd.solve(scene, t_end=1.0, tol={"x": 1e-3})
+
+
+def test_runs_that_get_farther_or_fail_by_too_many_parts_are_no_reason_to_end_a_search() -> None:
+    for errors, hopeless in (
+        ([(0.2, 0.1), (0.25, 0.03), (0.26, 0.01)], True),
+        ([(0.2, 0.1), (0.35, 0.03), (0.36, 0.01)], False),
+        ([(0.2, 0.1), (0.25, 0.03), None, (0.25, 0.01)], False),
+    ):
+        failures = Failures()
+        for halted in errors:
+            error = PartsError("many parts") if halted is None else ConvergenceError("no end")
+            error.halted = halted
+            failures.note(error)
+        assert failures.hopeless is hopeless

@@ -344,7 +344,10 @@ class Loop:
         step = f"step {number}" + (f" of {steps}" if steps else "")
         newest = None if self.keeper is None else self.keeper.newest
         kept = "" if newest is None else f" The newest checkpoint is {newest}."
-        return type(error)(f'Scene "{self.problem.scene.name}", {step}: {error}{kept}')
+        named = type(error)(f'Scene "{self.problem.scene.name}", {step}: {error}{kept}')
+        t = self.stepper.state.t
+        named.halted = t, t / max(number - 1, 1)
+        return named
 
     def left(self) -> Marched:
         """What the march has left."""

@@ -34,6 +34,7 @@ from ..damped import damped_vibrations
 from ..deviation import Deviation
 from ..equal_steps import Orders, TimeError, astray, between, known_orders
 from ..estimates import usual_errors, warn_of_uncertain, with_damped
+from .failures import Failures
 from .foretold import foretell
 from .next_attempt import (
     NEAR,
@@ -143,8 +144,10 @@ def _attempt(plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, *, wanted:
             plan_next = _one_more(plan, tol, shared, wanted=wanted, found=found)
         except (ConvergenceError, LinearSolveError) as error:
             # finer meshes may need smaller steps than those on which the error was small enough
-            found.failed += 1
-            if (found.best is not None and found.failed > FAILURES) or plan.step < 1e-3 * t_end / START:
+            failures = found.failures
+            failures.note(error)
+            many = found.best is not None and failures.count > FAILURES
+            if many or failures.hopeless or plan.step < 1e-3 * t_end / START:
                 found.why = f"a run failed: {error}"
                 break
             plan_next = finer_steps(_anew(plan), 0.25)
@@ -168,7 +171,7 @@ class Search:
     history: list[Attempt] = field(default_factory=list)
     best: tuple[float, Run] | None = None
     why: str = f"{ATTEMPTS} attempts were not enough"
-    failed: int = 0  # runs that did not come to their end
+    failures: Failures = field(default_factory=Failures)
     levels: set[int] = field(default_factory=set)  # of the meshes of those that did
 
     def take(self, run: Run, ratio: float, plan: AttemptPlan) -> None:
