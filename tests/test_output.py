@@ -186,3 +186,17 @@ def test_rows_on_velocities_move_nothing_between_the_ends_of_steps():
     for name in ("place", "blade"):
         assert np.abs(found[0][name] - found[1][name]).max() < 1e-9
         assert np.abs(found[0][name] - fine[name]).max() < 2e-3
+
+
+def test_records_that_no_machine_holds_are_refused_and_long_runs_are_told_of(caplog):
+    """Before the first step: a time in a wrong unit, here in nanoseconds."""
+    with pytest.raises(fmbd.errors.InputError, match=r"1e\+12 steps of 0\.001 s up to t_end = 1e\+09 s .* GiB"):
+        fmbd.solve(pendulum(), t_end=1e9, dt=1e-3)
+
+    # hours: told, and begun
+    def stop(now):
+        raise KeyboardInterrupt
+
+    with pytest.raises((fmbd.errors.Stopped, KeyboardInterrupt)):
+        fmbd.solve(pendulum(), t_end=1e6, dt=1e-3, output=fmbd.Output(every=10**6, on_step=stop))
+    assert [x for x in caplog.messages if "1e+09 steps" in x and "2.8 hours" in x]

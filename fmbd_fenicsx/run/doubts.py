@@ -64,16 +64,17 @@ def warn_of_doubts(
         _growth(system, recorder.energy, recorder.times, start)
     if recorder.energies and lossless(scene, system):
         _loss(recorder.energy, recorder.times)
-    _halvings(counters)
-    _turns(system, recorder, size)
-    if system.keepers:
-        _chatter(system)
 
-    _impacts(counters)
-    _open_velocities(recorder, counters, remembers)
+    # what tells of wrong places comes before what tells of their rates, and that before what steps found hard
     _open_joints(recorder)
     _contradictions(solver, recorder, end)
     _immovable(solver)
+    _turns(system, recorder, size)
+    _open_velocities(recorder, counters, remembers)
+    if system.keepers:
+        _chatter(system)
+    _impacts(counters)
+    _halvings(counters)
     if system.fields and (body := inside_out(system, end.q)):
         log.warning(
             'body "%s" has cells that are turned inside out at the end: its energy lets them, no material does. Take a smaller '
@@ -136,9 +137,9 @@ def _halvings(counters: Mapping[str, float]) -> None:
         )  # fmt: skip
     elif back > 0:
         log.warning(
-            "%d steps gained energy from nothing and were repeated in parts: dt is too large for a stiff part that turns",
-            back,
-        )
+            "%d of %d steps gained energy from nothing and were repeated in parts, without it: dt is too large for a stiff part "
+            "that turns. Compare with half of it", back, steps,
+        )  # fmt: skip
 
 
 def _turns(system: System, recorder: Recorder, size: float) -> None:

@@ -154,6 +154,7 @@ def _finished(
     equal = first if task.schedule.steps else 0.0
     limit = problem.said.turn_limit
     ends = start.state, marched.state
+    warn_of_turning_rows(solver, limit, ends, first)
     warn_of_doubts(task.scene, solver, marched.recorder, counters, ends, equal, remembers=limit is not None)
     warn_of_late_samples(task.scene, task.schedule)
     warn_of_short_tables(task.scene, task.schedule.begin, task.schedule.t_end)
@@ -163,7 +164,6 @@ def _finished(
     warn_of_dense_break_points(task.schedule)
     if problem.said.carries_accelerations and problem.system.prescribes:
         warn_of_acceleration_jumps(problem.system, task.schedule)
-    warn_of_turning_rows(solver, limit, ends, first)
     code = None if keeper is None else keeper.exit_code
     methods = solver.elastic.methods
     return FinishedMarch(marched, problem, start, counters, undetermined, methods, (*clocks, ended), code)

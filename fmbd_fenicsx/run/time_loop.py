@@ -23,6 +23,7 @@ from .judges.acceptance import accept_step, attempt_judged
 from .judges.energy_check import closed
 from .judges.prescribed_motions import PrescribedMotions
 from .problem import Problem, judges_of, make_stepper
+from .recording.foretold import MANY_STEPS, foretell
 from .recording.moment import Moment
 from .recording.output import Output
 from .recording.progress_bar import Progress
@@ -126,7 +127,9 @@ class Loop:
         if problem.warned is not None and system.forces:
             watchers.append(HalfTurns(system))
         if problem.warned is not None and system.parts:
-            watchers += [SmallTurns(system), Spins(system), Bends(system), AxialForces(system, IN_RUNS, state.t)]
+            spins = Spins(system)
+            pulls = AxialForces(system, IN_RUNS, state.t, spins.told)
+            watchers += [SmallTurns(system), spins, Bends(system), pulls]
         self.watchers = [watcher for watcher in watchers if watcher.bodies]
         self.events = _events(problem, schedule, output, state)
         self.event_met = False
@@ -159,6 +162,8 @@ class Loop:
         recorder.drift.closed = self.judges.closed
         recorder.warned = problem.warned
         recorder.take(0, first, self.stepper.evaluation)
+        if steps > MANY_STEPS:
+            foretell(recorder, steps)
         return recorder
 
     # -- the loop ---------------------------------------------------------------------------------------------------

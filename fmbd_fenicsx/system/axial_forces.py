@@ -17,7 +17,7 @@ body as its joints hold it (``spins``).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from typing import Any
 
 import numpy as np
@@ -46,13 +46,16 @@ SLENDER = 4.0  # length over the least thickness
 class AxialForces:
     """Who looks at the linear bodies of a system that may be pressed or pulled along themselves; told is what leaves out more
     than a ``share`` of its stiffness. Bending does not follow what passes within 1 / omega_1: in a run, which starts at a time
-    ``start`` (s), forces are told of that looks have found for so long.
+    ``start`` (s), forces are told of that looks have found for so long. What pulls bodies that are ``spinning`` was
+    told with them.
     """
 
     looks, between = 8, 20  # at a long run of equal steps, at least; steps between them, which cost less than a look
 
-    def __init__(self, system: System, share: float = SHARE, start: float = -np.inf) -> None:
-        self.system, self.share = system, share
+    def __init__(
+        self, system: System, share: float = SHARE, start: float = -np.inf, spinning: Container[int] = ()
+    ) -> None:
+        self.system, self.share, self.spinning = system, share, spinning
         self.bodies = _bodies(system)
         self._asked, self._due = 0, 1  # looks that were asked for, and the next that is taken
         self._free = {k: _first_free(part) for k, part in self.bodies}
@@ -80,6 +83,8 @@ class AxialForces:
                 self._since[k] = np.sign(force), since
             else:
                 self.bodies.remove((k, part))
+                if force > 0.0 and k in self.spinning:
+                    continue
                 _tell(part.name, force, share, "in bending between its joints")
 
     def _share(self, ev: Evaluation, k: int, part: Any, slopes: float) -> tuple[float, float]:

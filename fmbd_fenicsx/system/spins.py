@@ -43,6 +43,7 @@ class Spins:
     def __init__(self, system: System) -> None:
         self.system = system
         self.bodies = [(k, part) for k, part, stiffened in in_linear_frames(system) if not stiffened]
+        self.told: set[int] = set()  # bodies that were warned of
         self._slow: dict[int, float] = {}  # of bodies that were looked at, rad/s: below it nothing is to be said of one
 
     def look(self, state: State) -> None:
@@ -61,6 +62,7 @@ class Spins:
                 continue
 
             self.bodies.remove((k, part))
+            self.told.add(k)
             log.warning(
                 'body "%s" spins at %.3g rad/s, its first bending frequency between its joints is %.3g rad/s: without the '
                 "stiffening by the stress of inertia forces its linear floating frame is off by some %.0f %% of its stiffness in "

@@ -143,6 +143,11 @@ class Output:
         return [float(t) for t in self.snapshots if t >= begin]
 
 
+def machine_memory() -> float:
+    """Of this machine, bytes."""
+    return float(os.sysconf("SC_PHYS_PAGES")) * os.sysconf("SC_PAGE_SIZE")
+
+
 def refuse_too_many(output: Output, system: System, t_end: float, steps: int) -> None:
     """Refuse snapshots that would fill the memory; ``steps`` of the run, 0 where they are not known."""
     wanted = output.count(t_end)
@@ -150,8 +155,7 @@ def refuse_too_many(output: Output, system: System, t_end: float, steps: int) ->
         return
     number = min(wanted, steps + 1) if steps else wanted
     # t, q, v, a, lambda of one state; this machine's memory
-    size = 8.0 * (system.n_q + 2 * system.n_v + system.n_lam)
-    memory = float(os.sysconf("SC_PHYS_PAGES")) * os.sysconf("SC_PAGE_SIZE")
+    size, memory = 8.0 * (system.n_q + 2 * system.n_v + system.n_lam), machine_memory()
     if wanted > MOST or number * size > SHARE * memory:
         raise InputError(
             f"Output: snapshots = {output.snapshots}: {number:.3g} states of {size / 2**20:.3g} MiB take "
