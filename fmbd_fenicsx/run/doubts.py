@@ -65,7 +65,7 @@ def warn_of_doubts(
     if recorder.energies and lossless(scene, system):
         _loss(recorder.energy, recorder.times)
 
-    # what tells of wrong places comes before what tells of their rates, and that before what steps found hard
+    # what tells of wrong places comes before what tells of their rates
     _open_joints(recorder)
     _contradictions(solver, recorder, end)
     _immovable(solver)
@@ -74,7 +74,6 @@ def warn_of_doubts(
     if system.keepers:
         _chatter(system)
     _impacts(counters)
-    _halvings(counters)
     if system.fields and (body := inside_out(system, end.q)):
         log.warning(
             'body "%s" has cells that are turned inside out at the end: its energy lets them, no material does. Take a smaller '
@@ -126,7 +125,8 @@ def _loss(energy: dict[str, Array], times: Array) -> None:
         )  # fmt: skip
 
 
-def _halvings(counters: Mapping[str, float]) -> None:
+def warn_of_halvings(counters: Mapping[str, float]) -> None:
+    """What steps found hard: said last, as it tells least of where the motion went wrong."""
     count = counters.get("halved_steps", 0.0)
     steps = max(counters["steps"], 1.0)
     back = counters.get("energy_rejections", 0.0)

@@ -20,7 +20,7 @@ from ..system.scene.scene import Scene
 from .acceleration_jumps import warn_of_acceleration_jumps
 from .accuracy.companion_runs import Compared
 from .built import Built, ConsistentStart
-from .doubts import warn_of_doubts
+from .doubts import warn_of_doubts, warn_of_halvings
 from .judges.prescribed_motions import ending_at_kinks
 from .judges.rank_advice import advise_on_ranks
 from .judges.tables_in_time import warn_of_short_tables
@@ -154,7 +154,6 @@ def _finished(
     equal = first if task.schedule.steps else 0.0
     limit = problem.said.turn_limit
     ends = start.state, marched.state
-    warn_of_turning_rows(solver, limit, ends, first)
     warn_of_doubts(task.scene, solver, marched.recorder, counters, ends, equal, remembers=limit is not None)
     warn_of_late_samples(task.scene, task.schedule)
     warn_of_short_tables(task.scene, task.schedule.begin, task.schedule.t_end)
@@ -164,6 +163,8 @@ def _finished(
     warn_of_dense_break_points(task.schedule)
     if problem.said.carries_accelerations and problem.system.prescribes:
         warn_of_acceleration_jumps(problem.system, task.schedule)
+    warn_of_turning_rows(solver, limit, ends, first)
+    warn_of_halvings(counters)
     code = None if keeper is None else keeper.exit_code
     methods = solver.elastic.methods
     return FinishedMarch(marched, problem, start, counters, undetermined, methods, (*clocks, ended), code)
