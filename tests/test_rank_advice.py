@@ -50,4 +50,15 @@ def test_rigid_bodies_on_many_ranks(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rank_advice, "world_size", lambda: 3)
     rank_advice.advise_on_ranks(system)
     assert len(said) == 1 and "on 3 ranks: 1 would be faster" in said[0]
-    assert "no elastic body with the unknowns of its mesh" in said[0] and "reduced bodies are not" in said[0]
+    assert "no elastic body with the unknowns of its mesh" in said[0] and "reduced bodies, wires are not" in said[0]
+
+
+def test_wires_are_whole_on_each_rank(monkeypatch: pytest.MonkeyPatch) -> None:
+    """They are worth no rank, however fine: they were counted as if shared out."""
+    scene = fmbd.Scene("wire")
+    scene.add(fmbd.Wires("w", 60.0, 4 * WORTH, (fmbd.Wire(1.35, 20e3, 195.0),)))
+    said: list[str] = []
+    monkeypatch.setattr(rank_advice, "note", said.append)
+    monkeypatch.setattr(rank_advice, "world_size", lambda: 2)
+    rank_advice.advise_on_ranks(scene.build()[0])
+    assert len(said) == 1 and "no elastic body" in said[0] and "1 would be faster" in said[0]

@@ -38,7 +38,8 @@ def advise_on_ranks(system: System) -> None:
     if ranks == 1:
         return
 
-    unknowns = [int(part.field.n_global) for _, part in system.fields]
+    # wires, and bodies whose mesh a user has read on one rank, are whole on each
+    unknowns = [int(part.field.n_global) for _, part in system.fields if part.field.comm.size > 1]
     better = faster_ranks(unknowns, ranks)
     if better == ranks:
         return
@@ -47,7 +48,7 @@ def advise_on_ranks(system: System) -> None:
     shared = (
         f"{sum(unknowns)} unknowns of {bodies}"
         if unknowns
-        else "no elastic body with the unknowns of its mesh, which alone are shared out (rigid and reduced bodies are not),"
+        else "no elastic body with the unknowns of its mesh, which alone are shared out (rigid, reduced bodies, wires are not),"
     )
     reason = f"a rank is worth while from about {WORTH} unknowns of a body on"
     note(f"{shared} on {ranks} ranks: {better} would be faster ({reason})")
