@@ -28,7 +28,8 @@ It is not so, and no solution is asked for, where
 
     a_0^T M a_0 > 0.3^2 (a_0^T M a_0 + ck a_0^T K a_0),                                                               (6)
 
-as a_0^T M a is the mean of 1 / (1 + ck w^2), at least 1 over the mean of 1 + ck w^2, times a_0^T M a_0.
+as a_0^T M a is the mean of 1 / (1 + ck w^2), at least 1 over the mean of 1 + ck w^2, times a_0^T M a_0. Nor is it so where the
+forces that pull back let go half-way: a stop does not vibrate, it throws.
 
 Until a start is resolved its steps are those of the diagonally implicit method of two stages, g = 1 - 1/sqrt(2),
 
@@ -61,7 +62,8 @@ LEFT = 0.3  # of an acceleration that a step has to leave
 LEFT_BEHIND = 0.5  # the same behind steps that damp
 LEAST, MOST = 4, 10  # steps that damp a start
 G = 1.0 - sqrt(0.5)
-SMALL = 1e-3  # of a step: how far velocities move to tell what damping they meet
+SMALL = 1e-3  # of a step, or of a way: how far velocities and places move to tell what they meet
+KEPT = 0.75  # of a stiffness, over the whole swing of a vibration: a stop that lets go half-way keeps half of it
 
 
 @dataclass(frozen=True)
@@ -130,7 +132,7 @@ def unresolved(
         found.append(a)
     if damps:
         return Unresolved(found[1], True)
-    if not system.max_abs(found[0]) < left * left * size:
+    if not system.max_abs(found[0]) < left * left * size or _lets_go(ev, start, w.ck * found[0]):
         return None
 
     gone = start.a - found[0]
@@ -138,6 +140,17 @@ def unresolved(
         ev.balance(gone, start.lam) - ev.balance(np.zeros_like(gone), start.lam), ev.jacobian.times(gone)
     )
     return Unresolved(found[0] + a, False)
+
+
+def _lets_go(ev: Evaluation, start: State, way: Array) -> bool:
+    """Whether what pulls back on the ``way`` (m) to where nothing accelerates lets go behind it, as a stop does: that throws."""
+    system, held = ev.system, ev.balance(start.a, start.lam)
+
+    def stiffness(share: float) -> float:
+        there = system.at(start.t, system.compose(start.q, share * way), start.v)
+        return system.dot(way, there.balance(start.a, start.lam) - held) / share
+
+    return stiffness(2.0) < KEPT * stiffness(SMALL)
 
 
 def on_constraints(end: State, solver: StepSolver, rule: Rule) -> State:
