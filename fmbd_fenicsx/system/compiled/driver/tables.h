@@ -361,6 +361,7 @@ typedef struct {
     double cd, ck, epsilon;            /* of the matrix in the fronts */
     int dear, held;                    /* whether its factor is dear, see is_dear(); whether one of an earlier step of a march serves on: */
     int first_took, untold;            /* increments of that step; steps since its rate of convergence was told, with the next one */
+    int pause, without;                /* steps that go without one behind those that failed, and how many still do */
     double share;                      /* change of q over that of v in a step: open speeds times it are closed like gaps */
     const double *q;                   /* the configuration evaluated last */
     double *work, *big, *directions;   /* directions: (CLOSING + 2) x parts x rows, see with_all_rows(), driver_least() */

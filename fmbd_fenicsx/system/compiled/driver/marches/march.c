@@ -156,7 +156,7 @@ EXPORT long march(System *s, int scheme, double *p, double *room, long steps, do
 {
     s->recalls = ANEW;
     s->contact = contact;
-    s->held = 0;
+    s->held = s->pause = s->without = 0;
     s->dear = !contact && !s->fields && is_dear(s);
     const long made = march_on(s, scheme, p, room, steps, ring, verdict, tape, control, closed, contact);
     s->recalls = FORGETS;

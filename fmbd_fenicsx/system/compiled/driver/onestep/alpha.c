@@ -113,7 +113,7 @@ typedef struct {
     double sizes[MOST], left;          /* of increments, and the error after the newest, over the tolerance */
     double misfit;                     /* of the springs' pulls across in the matrix */
     int done, hesitations;             /* increments; those that were made as laws were undecided */
-    int far;                           /* whether the matrix is far from the state */
+    int served, far;                   /* whether it began with a matrix of an earlier step; whether its matrix is far from the state */
     int renewed;                       /* whether a later increment than the first had a new matrix */
     int touching;                      /* contacts that take part */
     int grown;                         /* increments of bodies with an energy that were larger than the one before */
@@ -132,7 +132,8 @@ static void begin(System *s, const double *p, Block now, Block out, AlphaStep *k
     k->hb = h * h * p[BETA];
     k->scale = k->hb * (1 - af) / (1 - am);
     k->damp = h * p[GAMMA] * (1 - af) / (1 - am);
-    k->far = !(s->held && s->cd == k->damp && s->ck == k->scale);
+    k->served = s->held && s->cd == k->damp && s->ck == k->scale;
+    k->far = !k->served;
     k->xi = xi, k->begun = begun;
     k->x = x, k->closing = closing, k->y = y;
     k->lam = lam, k->none = closing + n;
@@ -208,7 +209,6 @@ static int linearise(System *s, const double *p, AlphaStep *k)
     if (k->touching && k->done) return DONE; /* velocities of closed contacts follow from the matrix of a step's beginning */
     int later = k->done > 0, slow = later && p[THETA] > SLOW_TURN;
     int impatient = k->done > (int)p[PATIENCE] && !s->fields && !k->told.poor; /* fields go on with one tangent while they converge */
-    int worn = s->held && k->done > 1 && p[THETA] > POOR;
 
     /* a stiff spring has its true tension, and with it its stiffness across, only after the first increment; a law may
        have other slopes there */
@@ -216,7 +216,7 @@ static int linearise(System *s, const double *p, AlphaStep *k)
     int cheap = k->done == 1 && s->fields; /* beside a solution with the factor of a field */
     int turning = s->stiff && later
                   && (s->renewed || s->bridged || cheap || k->misfit > SLOW_TURN || misled(s) || other_slopes(s, k->damp, k->scale));
-    if (!(k->far || turning || impatient || worn)) return DONE;
+    if (!(k->far || turning || impatient)) return DONE;
 
     /* what reactions push across counts where the iteration is slow without it; as predicted it may be far off */
     int reactions = (k->done > 1 && slow) || impatient;
@@ -402,13 +402,17 @@ static int find_end(System *s, double *p, const Block *past, int known, AlphaSte
 }
 
 /* Whether the matrix of a step that was found serves the next one. A dear one does (see is_dear()), while it takes no more increments
-   than when it was new, or converges as fast as a step counts on. */
+   than when it was new, or converges as fast as a step counts on. Each one in a row that fails a step lets twice as many go without. */
 static void hold(System *s, const double *p, const AlphaStep *k)
 {
-    const int is_new = !s->held, told = k->done > 1;
+    const int is_new = !s->held, told = k->done > 1, failed = k->served && k->renewed;
+    if (failed) s->pause = s->without = 2 * s->pause + 1;
+    else if (k->served) s->pause = 0;
+    else if (s->without) s->without--;
+
     if (is_new) s->first_took = k->done;
     s->untold = is_new || told ? 1 : s->untold + 1;
-    s->held = s->dear && !k->renewed && !s->redundant && (is_new || k->done <= s->first_took || p[THETA] <= BEST_RATE);
+    s->held = s->dear && !s->without && !k->renewed && !s->redundant && (is_new || k->done <= s->first_took || p[THETA] <= BEST_RATE);
 }
 
 /* One step, as a Maker of march.c. */
