@@ -14,7 +14,6 @@ import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.materials import linear_elastic
 from fmbd_fenicsx.schemes.onestep.alpha.alpha_stepper import AlphaStepper
 
-MESHES = Path(__file__).parents[1] / "meshes"
 FORMS = (fmbd.Index3(), fmbd.GGL())
 INERTIA = 1.1  # of the pendulum about its pin, kg m^2
 
@@ -153,56 +152,6 @@ def test_starts_that_no_damping_ends_stay_as_they_are(rod_mesh: Callable[..., An
         found.append([runs[0]["x"], runs[1]["x"], runs[2]["seen"]])
     for one, other in zip(*found, strict=True):
         np.testing.assert_array_equal(one, other)
-
-
-def column(kind: str) -> tuple[fmbd.Scene, float]:
-    """A hinged column under a sudden axial force of 0.3 of its buckling load, pushed aside for half a period T; and T (s)."""
-    E, rho, H = 1e9, 1000.0, 0.02
-    load, w = np.pi**2 * E * H**3 / 12, np.pi**2 * np.sqrt(E * H**2 / 12 / rho)
-    mesh = fmbd.read_gmsh(MESHES / "block.py", size=(1.0, H), counts=(16, 1), origin=(0, -H / 2))
-    if kind == "absolute":
-        body: Any = fmbd.AbsoluteBody(
-            "b", mesh, density=rho, energy=fmbd.materials.sheet_saint_venant_kirchhoff(E, 0.0)
-        )
-    else:
-        frame: Any = fmbd.MeanAxis() if kind == "mean axes" else fmbd.Attached("left")
-        elastic = fmbd.materials.plane_stress(E, 0.0)
-        body = fmbd.FloatingBody("b", mesh, density=rho, elastic=elastic, frame=frame, stiffening="left")
-    scene = fmbd.Scene("column", gravity=lambda t: (0.0, -0.01 * np.sin(w * t) if w * t < np.pi else 0.0))
-    scene.add(body, fmbd.revolute("a", fmbd.ground, body.surface("left"), center=(0, 0)))
-    scene.add(fmbd.point_on_line("r", fmbd.ground, body.surface("right"), center=(1.0, 0), axis=(1, 0)))
-    scene.add(fmbd.force("push", body.surface("right"), lambda t: (-0.3 * load * np.cos(2 * w * t), 0.0)))
-    scene.sensor("mid", fmbd.position(body, point=(0.5, 0)))
-    return scene, 2 * np.pi / w
-
-
-@pytest.mark.parametrize("compiled", [True, False])
-@pytest.mark.parametrize("kind", ["attached", "mean axes", "absolute"])
-def test_sudden_axial_force_on_a_slender_body(kind: str, compiled: bool) -> None:
-    """h^2 a_0 is 9 mm at the end, h c a length of the column. By modes along and across, DOP853: 1.22e-5 m, at T/2 -5.82e-6."""
-    scene, T = column(kind)
-    run = fmbd.solve(
-        scene, t_end=(3.0 if compiled else 0.5) * T, dt=T / 80, scheme=fmbd.GeneralizedAlpha(compiled=compiled)
-    )
-    y = run["mid"][:, 1]
-    assert y[40] == pytest.approx(-5.82e-6, rel=0.02)
-    if compiled:
-        assert np.abs(y).max() == pytest.approx(1.22e-5, rel=0.04)
-    assert not run.counters.get("halved_steps")
-
-
-@pytest.mark.parametrize("compiled", [True, False])
-def test_what_steps_resolve_begins_as_it_would_alone(compiled: bool) -> None:
-    """A mass on a spring with w h = 0.3 beside one with w h = 100: O(h^4 w^4) of its first acceleration is lost."""
-    found = []
-    for masses in ((("slow", 30.0, 0.01),), (("slow", 30.0, 0.01), ("fast", 1e4, 1e-3))):
-        scene = fmbd.Scene("masses")
-        for name, rate, aside in masses:
-            mass = scene.add(fmbd.PointMass(name, 1.0, (1.0 + aside, 0.0)))
-            scene.add(fmbd.Spring(f"on {name}", fmbd.ground, mass, stiffness=rate**2, length=1.0))
-        scene.sensor("speed", fmbd.velocity(scene.bodies["slow"]))
-        found.append(solved(scene, 0.2, 0.01, compiled=compiled)["speed"])
-    np.testing.assert_allclose(found[1], found[0], rtol=0, atol=3e-4 * np.abs(found[0]).max())
 
 
 def test_damped_starts_go_on_from_a_checkpoint_and_in_compiled_code(

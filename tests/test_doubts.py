@@ -47,18 +47,12 @@ def test_large_turns_beside_a_floor_are_told_of_no_scheme_without_contact() -> N
 
 
 def test_an_overshoot_of_the_first_steps_is_told_from_growth() -> None:
-    """A slender rod bent without the contraction across that belongs to it: h omega of that vibration is near 100.
-
-    Beside it a wheel on a soft spring begins to turn: accelerations that steps do resolve keep the start as it is.
-    """
+    """A slender rod bent without the contraction across that belongs to it: h omega of that vibration is near 100."""
     mesh = fmbd.read_gmsh("meshes/rod.py", dim=2, h=0.1, height=0.02)
     bent = {"displacement": lambda x: (-1e-3 * x[0] * x[1], 5e-4 * x[0] ** 2)}
     rod = fmbd.FloatingBody("rod", mesh, density=1e3, elastic=fmbd.materials.linear_elastic(5e6, 0.3), **bent)
-    wheel = fmbd.RigidBody("wheel", 1e-6, 1e-9)
-    axle = fmbd.revolute("axle", fmbd.ground, wheel, center=(0.0, 0.0))
-    spring = fmbd.joint_spring("spring", fmbd.angle(axle), stiffness=4e-9, free=10.0)
     scene = fmbd.Scene("overshoot")
-    scene.add(rod, fmbd.fixed("clamp", fmbd.ground, rod.surface("pin")), wheel, axle, spring)
+    scene.add(rod, fmbd.fixed("clamp", fmbd.ground, rod.surface("pin")))
     run = fmbd.solve(scene, t_end=2.0, dt=0.02)
     total = run.total_energy
     assert total.max() > 2.0 * total[0] > 2.0 * total[-1]

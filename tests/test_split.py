@@ -92,13 +92,10 @@ def test_stiff_tie_to_a_hub(method: str) -> None:
         out.sensor("force", fmbd.reaction("pin"))
         return out
 
-    begun, split = (run(scene(), FieldSplit(method=method, max_iterations=100), steps=n) for n in (1, 3))
-    plain = run(scene(), steps=3)
+    plain, split = run(scene(), steps=2), run(scene(), FieldSplit(method=method, max_iterations=100), steps=2)
     assert np.abs(split["force"] - plain["force"]).max() < 1e-6 * np.abs(plain["force"]).max()
     assert split.counters.get("halved_steps", 0) == 0
-    # without the solves of the start, which no increment counts
-    iterations, increments = (split.counters[n] - begun.counters[n] for n in ("saddle_iterations", "newton_iterations"))
-    assert increments > 0 and iterations < 30 * increments
+    assert per_solve(split) < 40
 
 
 @pytest.mark.mpi

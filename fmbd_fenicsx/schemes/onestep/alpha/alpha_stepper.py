@@ -39,7 +39,7 @@ from ...dense_output import cubic, place_within, state_within
 from ...newton import Newton, crushed, grew, not_converged, strayed
 from ...stepping import Observers, TimeStepper
 from .alpha_step import PATIENCE, AlphaStep, Rule, StepStart
-from .damped_start import LEAST, LEFT, LEFT_BEHIND, MOST, Unresolved, on_constraints, stages, unresolved
+from .damped_start import LEAST, LEFT, LEFT_BEHIND, MOST, damped_acceleration, on_constraints, stages
 from .jerk import jerk, spin_of_acceleration
 
 if TYPE_CHECKING:
@@ -86,7 +86,7 @@ class AlphaStepper(TimeStepper):
     }
     counters: dict[str, float] = {}
     slopes: Array | None = None  # of forces in Python, where steps go on with earlier ones
-    damps = True  # looks for starts that steps do not resolve, where anything pushes by itself
+    damps = True  # starts that steps do not resolve, where anything pushes by itself
 
     def __init__(
         self, scheme: GeneralizedAlpha, system: System, solver: StepSolver, newton: Newton, state: State
@@ -105,7 +105,7 @@ class AlphaStepper(TimeStepper):
         self.A = state.a.copy()
         self.fresh = True  # the next step is the first after a consistent start
         self.damped = 0  # steps that have damped it
-        self._looked: tuple[float, State, Unresolved | None] | None = None  # at a start for steps of a size (s)
+        self._looked: tuple[float, State, Array | None] | None = None  # at a start for steps of a size (s)
         self._past: list[tuple[float, Array, Array]] = []
         self._begun: tuple[State, Array, Array] | None = None  # state, v and A as the last step took them
         self.size = 0.0  # of the last step, s
@@ -147,8 +147,6 @@ class AlphaStepper(TimeStepper):
     def _first(self, rule: Rule) -> StepStart:
         """v_0 and A_0 without a transient (see the module), and a, lambda predicted for the end of the first step."""
         system, s, h = self.system, self.state, rule.h
-        if self.damps and (found := self._look(rule)) is not None:
-            s = replace(s, a=found.a)
         ahead = rule.alpha_m - rule.alpha_f
         ev = self.system.at(s.t, s.q, s.v)
         rate, lam_rate, volume = jerk(ev, s, self.solver, rule.weights, h)
@@ -206,16 +204,15 @@ class AlphaStepper(TimeStepper):
             return None
         if 0 < self.damped < LEAST:
             return self.state.a
-        found = self._look(rule) if self.damped < MOST else None
-        return found.a if found is not None and found.damps else None
+        return self._look(rule) if self.damped < MOST else None
 
-    def _look(self, rule: Rule) -> Unresolved | None:
-        """What a step begins with, where this is an unresolved start; else None. Collective."""
+    def _look(self, rule: Rule) -> Array | None:
+        """What a step leaves of the acceleration that it begins with, where this is an unresolved start; else None."""
         s, known = self.state, self._looked
         if known is None or known[0] != rule.h or known[1] is not s:
             ev, nothing = self.system.at(s.t, s.q, s.v), self.newton.small(self.system, np.inf)
             left = LEFT_BEHIND if self.damped else LEFT
-            self._looked = known = rule.h, s, unresolved(ev, s, self.solver, rule, nothing, left)
+            self._looked = known = rule.h, s, damped_acceleration(ev, s, self.solver, rule, nothing, left)
         return known[2]
 
     def _damp(self, h: float, a: Array) -> State:
@@ -277,7 +274,7 @@ class AlphaStepper(TimeStepper):
 
     def _accept(self, step: AlphaStep) -> State:
         """The end of a step becomes the state."""
-        s = step.start.state
+        s = self.state
         h = step.rule.h
         A = step.end.A
         self.local_error = self._indicator(step)
