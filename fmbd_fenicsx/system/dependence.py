@@ -101,7 +101,7 @@ def scaled_rows(ev: Evaluation) -> tuple[Array, Array, int]:
 def _singular(G: Array) -> tuple[Array, Array, int]:
     """Left singular vectors, singular values over the largest, and how many of these are far from zero."""
     U, s, _ = singular_values(G, full=G.shape[0] > G.shape[1])
-    s = s / s[0]
+    s = s / (s[0] or 1.0)
     return U, s, int((s > NEAR_SINGULAR).sum())
 
 
