@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...polynomials import lagrange
+from ...polynomials import lagrange_values
 from ...rotations import Array
 
 CUBIC = 4  # times as many values as common ones, from which on values between them count
@@ -130,10 +130,8 @@ def between_ends(t: Array, x: Array, times: Array, y: Array, common: Deviation) 
 
     def on(points: int) -> Array:
         """Lagrange's polynomial through the first so many points."""
-        total = np.zeros((len(at), flat.shape[1]))
-        for i, weight in enumerate(lagrange(s.T[:points], at)):
-            total += weight[:, None] * flat[first + i]
-        return total
+        values = flat[first[:, None] + np.arange(points)]
+        return np.asarray(np.einsum("ij,ijk->ik", lagrange_values(s[:, :points], at), values))
 
     cubic = on(4)
     apart = cubic - y.reshape(len(times), -1)[other]

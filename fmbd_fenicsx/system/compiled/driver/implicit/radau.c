@@ -1,7 +1,8 @@
 /* Steps of Radau, schemes/onestep/stage_newton.py and radau.py: constant ones, and those that error control chooses. */
 
 /* What it keeps with a state beside its work: what the last increment of Newton's iteration left, over its size, and the size of the step
-   in which that was seen; what error control keeps; the step that led there: whether it strayed from what the one before foretold, its size (0: none), q (nq) and v (nv) at its start, its stages. The multipliers of the last of these are those of the state. */
+   in which that was seen; what error control keeps; the step that led there: whether it strayed from what the one before foretold, its
+   size (0: none), q (nq) and v (nv) at its start, its stages. The multipliers of the last of these are those of the state. */
 typedef struct {
     double *share, *seen;
     Controlled *control;
