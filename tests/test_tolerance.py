@@ -206,6 +206,22 @@ def test_a_narrow_peak_of_an_error_is_seen() -> None:
     assert true <= 3e-4 * np.ptp(run["x"]) and 0.5 < run.certificate["x"].total / true < 3.0
 
 
+def test_errors_of_the_largest_steps_are_seen() -> None:
+    """Multipliers have the error of the step that they end: 0.69 of it was stated, as larger steps ended between instants."""
+    scene, last = fmbd.Scene("double pendulum", gravity=(0, -9.81)), fmbd.ground
+    for k in range(2):
+        link = fmbd.RigidBody(f"link {k}", 1.0 + k, 0.1 + 0.05 * k, (k + 0.5, 0.0))
+        scene.add(link, fmbd.revolute(f"pin {k}", last, link, center=(float(k), 0.0)))
+        last = link
+    scene.sensor("pin", fmbd.reaction_force("pin 0"))
+    scheme, output = fmbd.GeneralizedAlpha(rtol=1e-4), fmbd.Output(progress=False)
+    run = fmbd.solve(scene, t_end=2.0, tol={"pin": fmbd.relative(1e-4)}, scheme=scheme, output=output)
+    there = replace(output, times=tuple(run.times[1:]))
+    exact = fmbd.solve(scene, t_end=2.0, scheme=fmbd.Radau(5, rtol=1e-10), output=there)["pin"]
+    true = float(np.abs(run["pin"][1:] - exact).max())
+    assert true <= 1e-4 * np.ptp(run["pin"], axis=0).max() and 0.9 < run.certificate["pin"].total / true < 3.0
+
+
 def in_resonance() -> fmbd.Scene:
     """A mass on a spring at 20 rad/s, excited by a force of its own frequency."""
     body = fmbd.RigidBody("mass", 1.0, 1.0, (0.0, 0.0))

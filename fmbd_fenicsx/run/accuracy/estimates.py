@@ -39,6 +39,7 @@ if TYPE_CHECKING:
 STEEPEST = 0.9  # power of a scheme's tolerance that its errors follow at most, as long as nothing was seen
 LOOKED_AT = 100  # instants at which runs of a search with steps of their own choice are compared: narrow peaks lie between fewer
 CERTIFIED_AT = 200  # the same for a certificate: peaks of accelerations and reactions are narrow
+SMALLER = 0.75  # of the size of the step before: values at the end of that one are looked at, too
 TENTH = 0.1  # of a tolerance
 # the same of smooth motion, where a run lands at every second end of another one with MANY steps or more, three for two of these
 THIRD, MANY = 1 / 3, 24
@@ -154,10 +155,16 @@ def of_tolerances(apart: dict[str, Deviation], most: float, seen: Mapping[str, f
 
 
 def looked_at(made: Recorder, most: int = LOOKED_AT) -> np.ndarray:
-    """Rows of some of the records of a run."""
+    """Rows of some of the records of a run: evenly, and before steps that are smaller, as the values of accelerations and
+    multipliers there have the error of the larger one; so many of each at most.
+    """
     # records between the ends of steps are made one by one
     count = len(made.times)
-    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))
+    even = np.linspace(0, count - 1, min(count, most)).round().astype(int)
+    size = np.diff(made.times)
+    shrinks = np.flatnonzero(size[1:] < SMALLER * size[:-1])
+    steepest = shrinks[np.argsort((size[1:] / size[:-1])[shrinks], kind="stable")]
+    return np.unique(np.concatenate((even, steepest[:most] + 1)))
 
 
 def _landings(made: Recorder, most: int, every: int) -> np.ndarray:
