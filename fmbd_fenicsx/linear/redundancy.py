@@ -91,12 +91,12 @@ def least_forces(S: Any, b: Array) -> Array:
     scale = sp.diags(1.0 / np.where(size > 0, size, 1.0))
     lu = splu(sp.csc_matrix(scale @ S @ scale + SOFT * sp.identity(len(size))))
     y = lu.solve(scale @ b)
-    for times in corrected(CORRECTIONS):
+    for times in corrections(CORRECTIONS):
         y = y - lu.solve(times * SOFT * y)
     return np.asarray(scale @ y)
 
 
-def corrected(count: int) -> list[float]:
+def corrections(count: int) -> list[float]:
     """How often further solutions ask for what softness leaves open, as ``correction`` of ``algebra/factor.c``."""
     return [1.0] * (count - 1) + [-float(count)] * (count > 0)
 

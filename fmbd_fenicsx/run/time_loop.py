@@ -23,9 +23,9 @@ from .judges.acceptance import accept_step, attempt_judged
 from .judges.energy_check import closed
 from .judges.prescribed_motions import PrescribedMotions
 from .problem import Problem, judges_of, make_stepper
-from .recording.foretold import MANY_STEPS, foretell
 from .recording.moment import Moment
 from .recording.output import Output
+from .recording.planned import MANY_STEPS, judge_plan
 from .recording.progress_bar import Progress
 from .recording.recorder import Recorder
 from .schedule import StepSchedule
@@ -163,7 +163,7 @@ class Loop:
         recorder.warned = problem.warned
         recorder.take(0, first, self.stepper.evaluation)
         if steps > MANY_STEPS:
-            foretell(recorder, steps)
+            judge_plan(recorder, steps)
         return recorder
 
     # -- the loop ---------------------------------------------------------------------------------------------------

@@ -70,7 +70,7 @@ class Pencil:
     def _factor(self, K: Array) -> None:
         if not np.isfinite(K).all():
             raise LinearSolveError(f"{self.judge.what}: the matrix is not finite.")
-        self.rows, self.columns = _balance(K)
+        self.rows, self.columns = _equilibration(K)
         self.matrix = self.rows[:, :, None] * K * self.columns[:, None, :]
         try:
             self.inverse = np.linalg.pinv(self.matrix, rcond=1e-11) if self.redundant else np.linalg.inv(self.matrix)
@@ -117,7 +117,7 @@ def _times(A: Array, x: Array) -> Array:
     return np.asarray((A @ x[..., None])[..., 0])
 
 
-def _balance(K: Array) -> tuple[Array, Array]:
+def _equilibration(K: Array) -> tuple[Array, Array]:
     """Row and column scales, (p, n) each, that bring all largest entries near one (two sweeps), as powers of two: no rounding."""
     A = np.abs(K)
     rows = np.ones(A.shape[:2])

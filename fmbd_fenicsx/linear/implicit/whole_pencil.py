@@ -22,7 +22,7 @@ from ...rotations import Array
 from ...system.mobility import SOFT
 from ...system.sparsity import Pattern, Product, Total
 from ...system.tangents.step_tangent import StepTangent
-from ..redundancy import corrected
+from ..redundancy import corrections
 from ..residual import Judge
 from .pencil import OPEN_ROWS, REFINED, SINGULAR_MATRIX
 
@@ -145,7 +145,7 @@ class WholePencil:
         K.eliminate_zeros()
         if not np.isfinite(K.data).all():
             raise LinearSolveError(f"{judge.what}: the matrix is not finite.")
-        self.rows, self.columns = _balance(K)
+        self.rows, self.columns = _equilibrate(K)
         self.matrix = K
         try:
             self.lu: SuperLU = splu(K)
@@ -161,7 +161,7 @@ class WholePencil:
         if left > REFINED * size:
             y = y + self._back(rhs - self.matrix @ y)
             left, size = self._left(rhs, y, o.size)
-        for times in corrected(self.corrections):
+        for times in corrections(self.corrections):
             y = y + self._back(times * self._open(y))
         if self.softened:  # rows that contradict each other stay open
             left, size = self._left(rhs, y, o.n)
@@ -200,7 +200,7 @@ class WholePencil:
         return float(left.max(initial=0.0)), float(size)
 
 
-def _balance(K: Any) -> tuple[Array, Array]:
+def _equilibrate(K: Any) -> tuple[Array, Array]:
     """Scale the rows and columns of a matrix so that all largest entries are near one, by powers of two, which are returned."""
     A, at = np.abs(K.data), (K.indices, np.repeat(np.arange(K.shape[1]), np.diff(K.indptr)))
     scales = np.ones(K.shape[0]), np.ones(K.shape[1])

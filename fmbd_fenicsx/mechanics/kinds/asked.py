@@ -23,7 +23,7 @@ import numpy as np
 
 from ...errors import AGREEMENTS, CallbackError, named, require
 from ...log import log
-from ...rotations import Array, Motions, hat, spin_matrix
+from ...rotations import Array, Motions, quaternion_exp, quaternion_matrix, spin_matrix
 from .expressions import ZERO
 from .python_kinds import Answers, At, PythonKind
 from .time_derivatives import rates
@@ -274,11 +274,7 @@ def _turned(R: Array, turn: Array) -> Array:
     if len(turn) == 1:
         c, s = np.cos(turn[0]), np.sin(turn[0])
         return np.asarray(np.array([[c, -s], [s, c]]) @ R)
-    angle = float(np.sqrt(turn @ turn))
-    if not angle:
-        return R
-    K = hat(turn / angle)
-    return np.asarray(R + np.sin(angle) * K @ R + (1.0 - np.cos(angle)) * K @ (K @ R))
+    return np.asarray(quaternion_matrix(quaternion_exp(turn)) @ R)
 
 
 def asked_kind(function: AskedFunction) -> AskedKind:

@@ -31,6 +31,7 @@ from ...system.layout import State, States
 from ...system.speed_rows import speed_rows
 from ...system.system import System
 from ..consistent_states import accelerated
+from ..dense_output import cubic
 from ..newton import Newton
 from .explicit_stepper import ExplicitScheme, ExplicitStepper
 
@@ -88,7 +89,7 @@ class HalfExplicitStepper(ExplicitStepper):
         moved = system.difference(before.q, after.q)
         ends = h * before.v, h * system.rate(moved, after.v)
         xi = _quartic(x, moved, ends, h * h * before.a)
-        v = before.v + _cubic(x, after.v - before.v, (h * before.a, h * after.a))
+        v = cubic(x, h, (before.v, after.v), (before.a, after.a))
         made = States(t, system.compose(before.q, xi), v, before.a, before.lam)
         return accelerated(system, made, self.solver)
 
@@ -191,15 +192,8 @@ class HalfExplicitStepper(ExplicitStepper):
         )
 
 
-def _cubic(x: Array, change: Array, slopes: tuple[Array, Array]) -> Array:
-    """From 0 at x = 0 by ``change`` until x = 1, with these slopes at both ends."""
-    first, last = slopes
-    rising = x * x * (3 - 2 * x)
-    return rising * change + x * (1 - x) ** 2 * first - x * x * (1 - x) * last
-
-
 def _quartic(x: Array, change: Array, slopes: tuple[Array, Array], bend: Array) -> Array:
-    """The same with the second derivative ``bend`` at x = 0."""
+    """From 0 at x = 0 by ``change`` until x = 1, with these slopes at both ends and the second derivative ``bend`` at x = 0."""
     first, last = slopes
     parabola = x * first + 0.5 * x * x * bend
 

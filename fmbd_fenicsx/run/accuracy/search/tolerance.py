@@ -34,8 +34,8 @@ from ..damped import damped_vibrations
 from ..deviation import Deviation
 from ..equal_steps import Orders, TimeError, astray, between, known_orders
 from ..estimates import usual_errors, warn_of_uncertain, with_damped
+from .dear_attempt import tell_of_dear_attempt
 from .failures import Failures
-from .foretold import foretell
 from .next_attempt import (
     NEAR,
     SMALL,
@@ -264,7 +264,7 @@ def _one_more(
     found.history.append(Attempt(plan.step, plan.meshes, plan.modes, ratio, errors, seconds, then))
     if made is None:
         found.why = then
-    foretell(plan, made, run, found.history)
+    tell_of_dear_attempt(plan, made, run, found.history)
     return made
 
 

@@ -7,11 +7,11 @@ from ...log import log
 from .output import SHARE, machine_memory
 from .recorder import Recorder
 
-MANY_STEPS = 10_000_000  # up to which there is nothing to foretell
+MANY_STEPS = 10_000_000  # up to which there is nothing to say
 STEP, LONG = 1e-5, 3600.0  # s of the clock that a step of a few bodies takes, and a run that is told of
 
 
-def foretell(recorder: Recorder, steps: int) -> None:
+def judge_plan(recorder: Recorder, steps: int) -> None:
     """Refuse records that would fill the memory, by the size of the first, and tell of steps that take hours.
 
     An event that ends the run may come at any time: nothing is known then.

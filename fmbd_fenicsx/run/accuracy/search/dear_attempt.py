@@ -21,7 +21,7 @@ LONG = 10.0  # s, which a user wants to be told of
 TIMES = 5.0  # the seconds of all attempts before
 
 
-def foretell(tried: AttemptPlan, made: AttemptPlan | None, run: Run, history: Sequence[Attempt]) -> None:
+def tell_of_dear_attempt(tried: AttemptPlan, made: AttemptPlan | None, run: Run, history: Sequence[Attempt]) -> None:
     """Say how long an attempt ``made`` after one ``tried``, with its ``run``, is expected to take, where that is far longer."""
     if made is None:
         return
