@@ -13,7 +13,7 @@ from dae_problems import march, observed, pendulum, pendulum_at, pendulum_errors
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError, InputError
-from fmbd_fenicsx.linear.implicit.pencil import _balance
+from fmbd_fenicsx.linear.implicit.pencil import _equilibration
 from fmbd_fenicsx.run import solve as solving
 from fmbd_fenicsx.run.schedule import step_schedule
 from fmbd_fenicsx.schemes.marching import MarchingStepper
@@ -265,7 +265,7 @@ def test_arguments_that_make_no_sense() -> None:
         fmbd.Baumgarte(-1.0, 1.0)
 
 
-def test_rows_and_columns_of_a_pencil_are_balanced() -> None:
+def test_rows_and_columns_of_a_pencil_are_equilibrated() -> None:
     """Largest entries of all rows and columns come near one, whatever units the unknowns and equations have; exactly, by powers
     of two.
     """
@@ -273,7 +273,7 @@ def test_rows_and_columns_of_a_pencil_are_balanced() -> None:
     K = rng.uniform(0.5, 1.0, (2, 6, 6)) * rng.choice([-1.0, 1.0], (2, 6, 6))
     K *= 10.0 ** rng.uniform(-3, 3, (2, 6, 1)) * 10.0 ** rng.uniform(-3, 3, (2, 1, 6))
     K[:, 0, 1] = 0.0
-    rows, columns = _balance(K)
+    rows, columns = _equilibration(K)
     scaled = np.abs(rows[:, :, None] * K * columns[:, None, :])
     assert (scaled.max(axis=1) > 0.05).all() and (scaled.max(axis=1) < 4.0).all()
     assert (scaled.max(axis=2) > 0.5).all() and (scaled.max(axis=2) < 2.0).all()
