@@ -14,9 +14,9 @@ on one body alone, and locks nothing. For all rows that would fill more (a star 
 from __future__ import annotations
 
 import heapq
-from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 
@@ -98,21 +98,17 @@ def loop_of(bodies: Iterable[int], parent: dict[int, int]) -> set[int]:
     return set().union(*ways) - (ways[0].intersection(*ways[1:]) if len(ways) > 1 else {-1})
 
 
-def with_bodies(widths: list[int], groups: list[RowGroup], led: dict[int, list[int]]) -> dict[int, int]:
-    """The coupling that is eliminated with each body: of the coordinate that the one joint which leads to it leaves free. Of the
-    bodies of a coupling that with the fewest takes it, so that a wheel that drives many others is coupled with these alone.
-    """
-    count = Counter(body for group in groups for body in group.bodies)
-    taken: dict[int, int] = {}
+def couplings_of(widths: list[int], groups: list[RowGroup], led: dict[int, list[int]]) -> dict[int, list[int]]:
+    """Couplings that may be eliminated with each body: of the coordinate that the one joint which leads to it leaves free."""
+    found: dict[int, list[int]] = {}
     for number, group in enumerate(groups):
-        for body in sorted(group.bodies if group.coupling else (), key=count.__getitem__):
+        for body in group.bodies if group.coupling else ():
             joint = groups[led[body][0]] if len(led[body]) == 1 else None
-            if joint is None or body in taken or len(joint.ends) != 1 or not joint.ends <= group.ends:
+            if joint is None or len(joint.ends) != 1 or not joint.ends <= group.ends:
                 continue
             if len(joint.rows) + len(group.rows) <= widths[body]:
-                taken[body] = number
-                break
-    return taken
+                found.setdefault(body, []).append(number)
+    return found
 
 
 class Elimination:
@@ -134,12 +130,12 @@ class Elimination:
                 self.near[body].add(n + number)
 
         led = joint_tree(n, groups)
-        for b, coupling in with_bodies(widths, groups, led).items():
-            led[b].append(coupling)
+        self.couplings = {b: [n + g for g in these] for b, these in couplings_of(widths, groups, led).items()}
         self.units = [[b, *(n + g for g in led[b])] for b in range(n)]
         self.unit_of = {node: u for u, unit in enumerate(self.units) for node in unit}
         self.waiting = [0] * n
         self.closers: dict[int, list[int]] = {}
+        self.done: set[int] = set()  # nodes
         parent = parents(groups, led)
         for number, group in enumerate(groups):
             if n + number in self.unit_of:
@@ -154,21 +150,20 @@ class Elimination:
 
     def run(self) -> list[tuple[list[int], set[int]]]:
         """(nodes eliminated together, nodes they are coupled with then) in order."""
-        done = [False] * len(self.units)
         heap = [(self._degree(u), u) for u in range(len(self.units)) if not self.waiting[u]]
         heapq.heapify(heap)
         out = []
 
         while heap:
             degree, u = heapq.heappop(heap)
-            if done[u]:
+            if self.units[u][0] in self.done:
                 continue
             if degree < (now := self._degree(u)):
                 heapq.heappush(heap, (now, u))
                 continue
-            done[u] = True
-            unit = self.units[u]
+            unit = self._unit(u)
             around = self._around(unit)
+            self.done.update(unit)
             out.append((unit, around))
 
             # what is left is coupled
@@ -186,7 +181,13 @@ class Elimination:
 
     def _degree(self, u: int) -> int:
         """Unknowns that a group is coupled with."""
-        return sum(self.widths[x] for x in self._around(self.units[u]))
+        return sum(self.widths[x] for x in self._around(self._unit(u)))
+
+    def _unit(self, u: int) -> list[int]:
+        """A group, of a body with the first coupling that is left for it: the last body of a train has none."""
+        unit = self.units[u]
+        left = (x for x in self.couplings.get(unit[0], ()) if x not in self.done)
+        return [*unit, *islice(left, 1)]
 
     def _around(self, unit: list[int]) -> set[int]:
         """What a group is coupled with."""

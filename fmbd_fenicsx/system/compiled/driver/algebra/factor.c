@@ -109,12 +109,37 @@ static void soften(System *s)
     for (int i = 0; i < s->rows; i++) s->L[s->row_dest[i]] -= softness(s, i);
 }
 
-/* The size below which a pivot is roundoff of what it is made of. */
+static const double OWN = 1e-11; /* share of what a row's pivot is made of, below which it is roundoff */
+
+/* The size below which a pivot is roundoff, of bodies as they are. */
 static double least_pivot(const System *s, int u)
 {
     const int row = u - s->nu;
     if (row < 0) return 1e-14 * s->diagonal[u];
-    return s->redundant ? 0.1 * softness(s, row) : 1e-11 * s->weight[row];
+    return s->redundant ? 0.1 * softness(s, row) : OWN * s->weight[row];
+}
+
+/* What the pivot of row u is made of, by size, in the fronts up to ``last``: bodies that bear others behind gears move by far less than
+   alone. */
+static double made_of(const System *s, int u, const Front *last)
+{
+    double sum = 0.0;
+    for (const Front *f = s->front; f <= last; f++)
+        for (int i = 0; i < f->rows && !f->apart; i++) {
+            if (f->unknown[i] != u) continue;
+            for (int k = 0; k < f->pivots && k < i; k++) {
+                const double part = s->L[f->start + (long)f->ld * k + i];
+                sum += part * part * fabs(s->inverse[f->unknown[k]]);
+            }
+        }
+    return sum;
+}
+
+/* Whether a pivot of the right sign is not roundoff. */
+static int stands_out(const System *s, double pivot, int u, const Front *f)
+{
+    if (pivot > least_pivot(s, u)) return 1;
+    return u >= s->nu && !s->redundant && pivot > OWN * made_of(s, u, f);
 }
 
 /* SINGULAR when a pivot has the wrong sign, where bodies are stable, or is small against what it is made of. Rows without a pivot
@@ -134,7 +159,7 @@ static int factor(System *s)
             const int u = f->unknown[k], at = k % PANEL, end = k - at + PANEL < f->pivots ? k - at + PANEL : f->pivots;
             double sign = s->sign[u], pivot = F[(long)(ld + 1) * k] * sign;
             if (s->indefinite && pivot < 0.0) sign = -sign, pivot = -pivot;
-            if (!(pivot > least_pivot(s, u))) {
+            if (!stands_out(s, pivot, u, f)) {
                 if (u < s->nu) return SINGULAR;
                 verdict = SINGULAR;
                 s->locked[u - s->nu] = 1.0;
