@@ -10,12 +10,13 @@ the same. Nodal displacements enter through the ports p = P w with a factor of P
 sigma_1 DEPENDENT: wherever bodies turn, such rows open by a few times that share of the model's length, less than a step may
 leave open (``SHUT`` of :mod:`.lengths`), so that nobody can tell them from rows that are the same.
 
-That is so of motions of the model's size. A wheel behind many gears turns by less than others, and its row is as exact as theirs:
-with the left vectors U of small singular values
+That is so of motions of the model's size. A wheel behind many gears turns by less than others, and its row is as exact as theirs.
+So rows are independent that are so with the columns of each frame over a size e^(-x_f) of its motions, by which all parts of a
+row are of one size,
 
-    w_f^2 = sum over rows i of |G_if|^2 |U_i|^2,        G_if: part of row i at frame f                                  (2)
+    sum over rows i, frames f of (log |G_if| + x_f - r_i)^2 = min,        G_if: part of row i at frame f                (2)
 
-is what these bear at a frame, and rows are independent that are so with the columns of each frame over its w.
+Whatever these sizes are, what cancels at each frame of what its rows bear there cancels still: rows that are the same stay so.
 """
 
 from __future__ import annotations
@@ -40,8 +41,10 @@ DEPENDENT = 0.1 * SHUT  # singular values below this share of the largest belong
 NEAR_SINGULAR = 1e-6
 CERTAIN = 1e-5  # smallest over largest singular value above which a Gram matrix shows that rows are independent
 INVERSE_ITERATIONS = 4
-SCALINGS = 2  # (1), and (2)
-LEAST_BORNE = math.sqrt(EPS)  # w of (2): roundoff over it is below DEPENDENT
+LEAST_PART = math.sqrt(EPS)  # of a row at a frame, in (2): roundoff over it is below DEPENDENT
+UNEVEN = 1e3  # range of sizes of motions from which on rows are looked at again
+FREE = 1e-10  # of the equations of (2), against their weights
+WIDEST = 300.0  # x of (2): squares of e^x are numbers
 
 
 def _masses(ev: Evaluation) -> Array:
@@ -87,14 +90,9 @@ def scaled_rows(ev: Evaluation) -> tuple[Array, Array, int]:
     """Left singular vectors of G_s, singular values over the largest, and the rank; with (2) where rows depend less then."""
     G = scaled_jacobian(ev)
     U, s, clear = _singular(G)
-    near = U[:, clear:]
-    if clear < len(G):
-        frames = _frames(ev)
-        borne = _borne(G, frames, near)
-        left = np.sqrt(frames.T @ ((G.T @ near) ** 2).sum(1))
-        if (left > np.maximum(DEPENDENT * borne, len(G) * EPS)).any():
-            V, size, now = _singular(_evened(G, frames, borne))
-            U, s = (V, size) if now > clear else (U, s)
+    if clear < len(G) and (even := _evened(G, _frames(ev))) is not None:
+        V, size, now = _singular(even)
+        U, s = (V, size) if now > clear else (U, s)
     return U, s, int((s > DEPENDENT).sum())
 
 
@@ -117,15 +115,19 @@ def _frames(ev: Evaluation) -> Any:
     return sp.csr_array((np.ones(len(of)), (np.arange(len(of)), of)))
 
 
-def _borne(G: Any, frames: Any, vectors: Array) -> Array:
-    """w of (2), (frames,), for vectors (rows, k)."""
-    square = G.multiply(G) if sp.issparse(G) else G * G
-    return np.asarray(np.sqrt(frames.T @ (square.T @ (vectors * vectors).sum(1))))
+def _evened(G: Any, frames: Any) -> Any:
+    """G with (2), its rows of norm 1; None where the motions of all frames are of about one size."""
+    parts = (sp.csr_array(G) ** 2 @ frames).tocoo()
+    rows, of = parts.coords
+    met = sp.csr_array((np.ones(len(rows)), (rows, of)), shape=parts.shape)
+    count = np.maximum(met.sum(axis=1), 1.0)
+    size = np.log(np.maximum(np.sqrt(parts.data), LEAST_PART * np.sqrt(parts.max(axis=1).toarray().ravel())[rows]))
+    apart = size - (np.bincount(rows, size, len(count)) / count)[rows]
 
-
-def _evened(G: Any, frames: Any, borne: Array) -> Any:
-    """G over w of (2), its rows of norm 1."""
-    return _normed(G @ sp.diags_array(frames @ (1.0 / np.maximum(borne, LEAST_BORNE))))
+    # one size for all frames that rows connect would be as good
+    equations = sp.diags_array(met.sum(axis=0) + FREE) - met.T @ sp.diags_array(1.0 / count) @ met
+    x = np.clip(splu(equations.tocsc()).solve(-np.bincount(of, apart, met.shape[1])), -WIDEST, WIDEST)
+    return _normed(G @ sp.diags_array(frames @ np.exp(x))) if np.ptp(x) > math.log(UNEVEN) else None
 
 
 def _normed(G: Any) -> Any:
@@ -145,18 +147,16 @@ def rows_are_independent(ev: Evaluation, above: float = CERTAIN) -> bool:
     s, core = ev.system, ev.jacobian.core
     whole = s.fields or not sp.issparse(core)
     G: Any = scaled_jacobian(ev) if whole else _normed(core.tocsr() @ sp.diags_array(1.0 / np.sqrt(_masses(ev))))
-    for _ in range(SCALINGS if above <= CERTAIN else 1):
-        solve, largest = _gram(G)
-        if solve is None:
-            return False
-        inverse, x = inverse_iterated(solve, s.n_lam)
-        if inverse * largest < 1.0 / above**2:
-            return True
-        if not math.isfinite(inverse):
-            return False
-        frames = _frames(ev)
-        G = _evened(G, frames, _borne(G, frames, x[:, None] / inverse))
-    return False
+    if _certainly(G, above):
+        return True
+    even = _evened(G, _frames(ev)) if above <= CERTAIN else None
+    return even is not None and _certainly(even, above)
+
+
+def _certainly(G: Any, above: float) -> bool:
+    """Whether a factor tells that sigma_min / sigma_max of G is at least that."""
+    solve, largest = _gram(G)
+    return solve is not None and inverse_iterated(solve, G.shape[0]) * largest < 1.0 / above**2
 
 
 def _gram(G: Any) -> tuple[Callable[[Array], Array] | None, float]:
@@ -177,9 +177,9 @@ def rows_differ(ev: Evaluation) -> bool:
     return rows_are_independent(ev, math.sqrt(ev.system.n_lam * np.finfo(float).eps))
 
 
-def inverse_iterated(solve: Callable[[Array], Array], count: int) -> tuple[float, Array]:
+def inverse_iterated(solve: Callable[[Array], Array], count: int) -> float:
     """A lower bound of the largest eigenvalue of the inverse of a Gram matrix of ``count`` rows, by its factor ``solve``, or
-    infinity; and a vector of that norm.
+    infinity.
     """
     x = 1.0 + 0.5 * np.cos(np.arange(count))  # no special direction
     inverse = 0.0
@@ -188,8 +188,8 @@ def inverse_iterated(solve: Callable[[Array], Array], count: int) -> tuple[float
         x = solve(x / np.sqrt(x @ x))
         inverse = math.sqrt(x @ x)
         if not math.isfinite(inverse):
-            return math.inf, x
-    return inverse, x
+            return math.inf
+    return inverse
 
 
 def _port_factor(ev: Evaluation, k: int, part: Any) -> Array:

@@ -173,4 +173,4 @@ class DriverFactor:
             states.library.driver_solve(states.address, 1, *places, self._given.at[2], *self._found.at)
             return np.asarray(size * found)
 
-        return bool(inverse_iterated(solve, len(size))[0] * states.tables.structure.shape.largest < 1.0 / CERTAIN**2)
+        return bool(inverse_iterated(solve, len(size)) * states.tables.structure.shape.largest < 1.0 / CERTAIN**2)
