@@ -4,8 +4,8 @@ Unknowns are grouped in *nodes*: the rates of one body, or the rows of the const
 is grown from the ground; the rows of a joint of the tree are eliminated with the body it leads to, which leaves a positive
 pivot for that body and a negative one for each row. So is a row that couples the coordinate of this joint with others, with the
 first of its bodies: a train of gears is eliminated from its ends, and all that wheels add to the next ones is positive, however
-far gears reduce. Rows that close a loop, or couple more, come after all their bodies. Among what may come next, the group with the
-fewest neighbours is taken (minimum degree): chains and trees fill nothing, the work is proportional to their length.
+far gears reduce. Rows that close a loop, or couple more, come after all their bodies. Among what may come next, the group with
+the fewest neighbours is taken (minimum degree): chains and trees fill nothing, the work is proportional to their length.
 
 Where the bodies of a loop are in line, what comes later may lock them while it stands: such a row has no pivot though it depends
 on no other. It then comes after all bodies of its loop but the one that leads to the others: what is eliminated before it hangs
