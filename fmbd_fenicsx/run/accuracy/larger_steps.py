@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -31,15 +32,20 @@ MEAN_ORDER = "mean order"  # counter of schemes that change their order
 SLOW = 0.75  # share of the order of the scheme that errors are stated by, where half of it would do
 
 
+def _taken_order(scheme: Any, counters: Mapping[str, float]) -> tuple[float, bool]:
+    """The order of the steps of a run, the mean of those that its scheme chose where it changes it; and whether it does."""
+    return counters.get(MEAN_ORDER, scheme.order), MEAN_ORDER in counters
+
+
 def may_be_larger(problem: Problem, given: Compared, counters: Mapping[str, float]) -> bool:
     """Whether steps that are two of a run's in one tell its error: its scheme takes them, it is recorded at its own ends, and no
     step is suddenly smaller than the one before, or was refused but for its error (``counters``). What kinks leave is of the
     order :data:`.MOST_LEFT` at most: beside refused steps nothing above that is taken for granted, and has to be seen; of a
     scheme that changes its order none is seen, and a few steps are those of its start.
     """
-    refused, mean = counters.get("rejections", 0.0), counters.get(MEAN_ORDER)
-    few, changes = given.steps < MANY, mean is not None
-    unseen = (few or changes) and SLOW * (mean or problem.scheme.order) > MOST_LEFT
+    order, changes = _taken_order(problem.scheme, counters)
+    refused, few = counters.get("rejections", 0.0), given.steps < MANY
+    unseen = (few or changes) and SLOW * order > MOST_LEFT
     if refused > counters.get("rejected: error estimate", 0.0) or (refused and unseen) or (few and changes):
         return False
     output, scene = given.recorder.output, problem.scene
@@ -118,19 +124,20 @@ def larger_steps_error(solved: Solved, two: Compared, allowed: Allowed) -> TimeE
     it has to be that of the scheme. A scheme that changes its order has the mean of those taken: what three runs show is chance.
     """
     problem, given, sensors, own = solved.problem, solved.compared, allowed.sensors, solved.compared.recorder
-    refused, mean = bool(solved.run.counters.get("rejections")), solved.run.counters.get(MEAN_ORDER)
+    refused = bool(solved.run.counters.get("rejections"))
+    order, changes = _taken_order(problem.scheme, solved.run.counters)
     expected = expected_orders(problem.scheme, problem.scene, problem.system)
     apart = between(own, two.recorder, expected)
     quick = {n: 1 for n, x in apart.items() if unresolved(x, Deviation(own.times, own.series[n]))}
     strays = bool(astray(given, {n: apart[n] for n in sensors}))
 
     def told(share: float) -> dict[str, Deviation]:
-        most = {n: min(p, mean or p) for n, p in expected.items()}
+        most = {n: min(p, order) for n, p in expected.items()}
         return of_order(most, given, two, share) | of_order(quick, given, two, 1.0)
 
     others = two if quick.keys().isdisjoint(sensors) else given  # finer spaces need the vibrations, too
-    slow = TimeError(told(SLOW if mean is None else 1.0), dict.fromkeys(expected, float("nan")), others)
-    if mean is not None:
+    slow = TimeError(told(1.0 if changes else SLOW), dict.fromkeys(expected, float("nan")), others)
+    if changes:
         return None if strays else slow
     if allowed.share(slow.errors) > DOUBTED * allowed.room:
         return slow
