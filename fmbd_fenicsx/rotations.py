@@ -64,6 +64,22 @@ def cross3(a: Array, b: Array) -> Array:
     return out
 
 
+def matvec(A: Array, x: Array) -> Array:
+    """Matrices (.., k, n) times vectors (.., n)."""
+    return np.asarray((A @ x[..., None])[..., 0])
+
+
+def tangents_of(normal: Array) -> list[Array]:
+    """d - 1 unit vectors orthogonal to each normal (m, d); of space right-handed with it."""
+    if normal.shape[1] == 2:
+        return [np.stack((-normal[:, 1], normal[:, 0]), axis=1)]
+    # the axis most across the normal
+    pick = _ONE[np.abs(normal).argmin(axis=1)]
+    a = cross3(normal, pick)
+    a = a / np.sqrt((a * a).sum(1))[:, None]
+    return [a, cross3(normal, a)]
+
+
 def quaternion_product(p: Array, q: Array) -> Array:
     """Hamilton product of scalar-last quaternions: the rotation q followed, in space axes, by p."""
     pv = p[..., :3]

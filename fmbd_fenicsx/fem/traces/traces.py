@@ -20,7 +20,7 @@ import scipy.sparse as sp
 
 from ...errors import MeshError
 from ...ranks import together
-from ...rotations import Array
+from ...rotations import Array, cross3
 from ..mesh.mesh import cells_of
 from .quadrilaterals import half_turn, skew_of, skewing, unskewed
 
@@ -113,10 +113,7 @@ class Trace:
     @cached_property
     def sizes(self) -> Array:
         """Lengths (m) or areas (m^2) of the facets, (n_f,)."""
-        e = self.corners[:, 1:] - self.corners[:, :1]
-        if self.dim == 2:
-            return np.asarray(np.linalg.norm(e[:, 0], axis=1))
-        return np.asarray(0.5 * np.linalg.norm(np.cross(e[:, 0], e[:, 1]), axis=1))
+        return np.asarray(np.linalg.norm(across(self.corners), axis=1) / (self.dim - 1))
 
     @cached_property
     def h(self) -> float:
@@ -202,6 +199,12 @@ class Trace:
 
         K = (np.swapaxes(grad, 2, 3) @ inverse[:, None] @ grad * w[:, None, None]).sum(1) * self.sizes[:, None, None]
         return scatter(K, self.nodes, self.nodes, (self.n, self.n))
+
+
+def across(corners: Array) -> Array:
+    """Vectors across facets with these corners, (n, d, d) -> (n, d): as long as an edge, or as two triangles are large."""
+    e = corners[:, 1:] - corners[:, :1]
+    return np.stack((e[:, 0, 1], -e[:, 0, 0]), axis=1) if corners.shape[2] == 2 else cross3(e[:, 0], e[:, 1])
 
 
 def scatter(blocks: Array, rows: np.ndarray, columns: np.ndarray, shape: tuple[int, int]) -> sp.csr_matrix:
@@ -305,11 +308,7 @@ def _own_facets(space: Any, mesh: Any, surface: str, degree: int) -> tuple[np.nd
     x = coordinates[dofs]
 
     # outward normals: away from the middle of the cell
-    edge = x[:, 1:d] - x[:, :1]
-    if d == 2:
-        normals = np.stack((edge[:, 0, 1], -edge[:, 0, 0]), axis=1)
-    else:
-        normals = np.cross(edge[:, 0], edge[:, 1])
+    normals = across(x[:, :d])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     inside = coordinates[space.dofmap.list[cells]].mean(axis=1)
     normals *= np.where(((x[:, 0] - inside) * normals).sum(1) < 0, -1.0, 1.0)[:, None]
@@ -344,9 +343,8 @@ def _reference_order(x: Array, degree: int, halved: bool) -> np.ndarray:
     off = distance.min(axis=2).max(axis=1)
     if halved:
         # the fourth corner of a flat one lies in the plane of the others
-        e, f, g = (x[:, i] - x[:, 0] for i in (1, 2, 3))
-        normal = np.cross(e, f)
-        off = np.maximum(off, np.abs((g * normal).sum(1)) / np.linalg.norm(normal, axis=1))
+        normal = across(x[:, :3])
+        off = np.maximum(off, np.abs(((x[:, 3] - x[:, 0]) * normal).sum(1)) / np.linalg.norm(normal, axis=1))
     if (np.sort(order, axis=1) != np.arange(k)).any() or (off > STRAIGHT * size).any():
         shape = "curved or warped" if halved else "curved"
         raise MeshError(

@@ -18,7 +18,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...errors import LinearSolveError
-from ...rotations import Array
+from ...rotations import Array, matvec
 from ...system.tangents.step_tangent import StepTangent
 from ..residual import Judge
 
@@ -82,12 +82,12 @@ class Pencil:
         (p, n + levels m).
         """
         n, m = self.n, self.m
-        rhs = -self.rows * (low + _times(self.va, kin))
-        y = _times(self.inverse, rhs)
+        rhs = -self.rows * (low + matvec(self.va, kin))
+        y = matvec(self.inverse, rhs)
         left, size = self._left(rhs, y)
         # an inverse leaves cond(A) roundoffs, one refinement brings them down to those of a factor
         if left > REFINED * size:
-            y = y + _times(self.inverse, rhs - _times(self.matrix, y))
+            y = y + matvec(self.inverse, rhs - matvec(self.matrix, y))
             left, size = self._left(rhs, y)
 
         self.judge.check(left, size, OPEN_ROWS, solves=len(y))
@@ -95,14 +95,14 @@ class Pencil:
 
         # rates follow from increments and the multipliers of lower levels
         dxi, mult = z[:, :n], z[:, n:]
-        dv = _times(self.D, dxi) + kin
+        dv = matvec(self.D, dxi) + kin
         if self.levels > 1:
             dv = dv + mult[:, m : 2 * m] @ self.t.U.T
         return np.concatenate((dxi, dv), axis=1), mult
 
     def _left(self, rhs: Array, y: Array) -> tuple[float, float]:
         """Largest residual and its scale, of the frequency where the two are farthest apart."""
-        left = np.abs(_times(self.matrix, y) - rhs)
+        left = np.abs(matvec(self.matrix, y) - rhs)
         if self.redundant:  # dependent rows agree up to the nonlinear residual only
             left = left[:, : self.n]
         largest = np.maximum.reduce  # what numpy.max calls
@@ -110,11 +110,6 @@ class Pencil:
         most = largest(left, axis=1, initial=0.0)
         worst = int((most / np.where(size > 0, size, 1.0)).argmax())
         return float(most[worst]), float(size[worst])
-
-
-def _times(A: Array, x: Array) -> Array:
-    """Matrices (p, k, n) times vectors (p, n)."""
-    return np.asarray((A @ x[..., None])[..., 0])
 
 
 def _equilibration(K: Array) -> tuple[Array, Array]:

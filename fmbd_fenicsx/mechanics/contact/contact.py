@@ -25,7 +25,7 @@ import numpy as np
 
 from ...checks import array, number, typed, vector, whole
 from ...errors import InputError, require
-from ...rotations import Array
+from ...rotations import Array, tangents_of
 from ..bodies.bodies import RigidBody, Surface
 from ..parts import ScenePart
 from ..rods.rods import Rod, node_name
@@ -128,10 +128,9 @@ def cylinder_end(
     place = vector(f"{what}: center", center, size=3)
     e = vector(f"{what}: axis", axis, size=3, zero=False)
     e = e / np.linalg.norm(e)
-    a = np.cross(e, np.eye(3)[np.argmin(np.abs(e))])
-    a /= np.linalg.norm(a)
-    angle = 2 * np.pi * np.arange(points) / points
-    ring = np.cos(angle)[:, None] * a + np.sin(angle)[:, None] * np.cross(e, a)
+    a, b = tangents_of(e[None])
+    angle = 2 * np.pi * np.arange(points)[:, None] / points
+    ring = np.cos(angle) * a + np.sin(angle) * b
     return RigidPoints(body, place + radius * ring)
 
 

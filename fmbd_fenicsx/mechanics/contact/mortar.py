@@ -26,7 +26,8 @@ import numpy as np
 from ...fem.traces.mortar import diameters, overlap
 from ...fem.traces.multipliers import Continuous, Dual, Ends
 from ...fem.traces.traces import Trace as Facets
-from ...rotations import Array, Motions, cross3
+from ...fem.traces.traces import across
+from ...rotations import Array, Motions
 from .contact_set import Here
 from .obstacles import Way
 from .pair import Side, SomeRows, bodies_overlap
@@ -266,12 +267,6 @@ def _moved(facets: Facets, x: Array) -> Facets:
     n = n / np.sqrt((n * n).sum(1))[:, None]
     n *= np.sign((before * facets.normals).sum(1))[:, None]  # the side that was outward at rest
     return replace(facets, points=x, normals=n)
-
-
-def across(corners: Array) -> Array:
-    """Vectors across facets, (n, d)."""
-    e = corners[:, 1:] - corners[:, :1]
-    return np.stack((e[:, 0, 1], -e[:, 0, 0]), axis=1) if corners.shape[2] == 2 else cross3(e[:, 0], e[:, 1])
 
 
 def _nodal_normals(facets: Facets) -> Array:

@@ -16,10 +16,8 @@ from functools import cached_property
 
 import numpy as np
 
-from ...rotations import Array, cross3
+from ...rotations import Array, tangents_of
 from .nodal_rows import NodalRows
-
-AXES = np.eye(3)
 
 
 @dataclass(frozen=True)
@@ -132,14 +130,3 @@ def directions_of(normal: Array, *, frictional: bool) -> Array:
     if not frictional:
         return normal[:, None]
     return np.concatenate([x[:, None] for x in (normal, *tangents_of(normal))], axis=1)
-
-
-def tangents_of(normal: Array) -> list[Array]:
-    """d - 1 unit vectors orthogonal to each normal (m, d)."""
-    if normal.shape[1] == 2:
-        return [np.stack((-normal[:, 1], normal[:, 0]), axis=1)]
-    # the axis most across the normal
-    pick = AXES[np.abs(normal).argmin(axis=1)]
-    a = cross3(normal, pick)
-    a = a / np.sqrt((a * a).sum(1))[:, None]
-    return [a, cross3(normal, a)]

@@ -31,7 +31,7 @@ import numpy as np
 
 from ...checks import number, shown, typed, vector, word
 from ...errors import InputError, require
-from ...rotations import Array, cross3
+from ...rotations import Array, tangents_of
 from ..bodies.bodies import RigidBody, Surface
 from ..body import Body
 from . import constraints as ct
@@ -140,11 +140,7 @@ def basis(axis: Vector | Array, name: str = "", dim: int = 3) -> Array:
         dim == 3 or n[2] == 1.0,
         f'Joint "{name}": axis {axis} is not (0, 0, 1), the only one about which plane bodies turn.',
     )
-    helper = np.zeros(3)
-    helper[int(np.argmin(np.abs(n)))] = 1.0
-    e1 = cross3(n, helper)
-    e1 /= np.linalg.norm(e1)
-    return np.array([e1, cross3(n, e1), n])
+    return np.concatenate([*tangents_of(n[None]), n[None]])
 
 
 def center_point(center: Vector | None, dim: int, name: str) -> Array | None:

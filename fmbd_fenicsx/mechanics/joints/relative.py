@@ -24,7 +24,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from ...rotations import Array, Motions
+from ...rotations import Array, Motions, tangents_of
 from ..frames import Kinematics
 from ..kinds.derivation import Kind, kinds
 from ..kinds.evaluation import KindItems
@@ -240,10 +240,7 @@ class RelativeAngle(RelativeCoordinates):
     def constants(self) -> dict[str, Array]:
         """Axes e_1, e_2 across the axis, of both markers."""
         if self.motions.dim == 3:
-            helper = np.eye(3)[np.argmin(np.abs(self.e), axis=1)]
-            e1 = np.cross(self.e, helper)
-            self.e1 = e1 / np.linalg.norm(e1, axis=1)[:, None]
-            self.e2 = np.cross(self.e, self.e1)
+            self.e1, self.e2 = tangents_of(self.e)
         else:
             self.e1, self.e2 = np.tile([1.0, 0.0], (len(self.a), 1)), np.tile([0.0, 1.0], (len(self.a), 1))
         return {"fa": self.e1, "ga": self.e2, "fb": self.e1, "gb": self.e2}

@@ -10,8 +10,8 @@ from ...errors import ConvergenceError, InputError
 from ...log import log
 from ...mechanics.contact.contact_set import ContactSet
 from ...mechanics.contact.obstacle_pair import ObstaclePair
-from ...mechanics.contact.rows import Rows, Touch, tangents_of
-from ...rotations import Array
+from ...mechanics.contact.rows import Rows, Touch
+from ...rotations import Array, tangents_of
 from ...system.layout import State
 from ...system.system import System
 

@@ -6,8 +6,8 @@ import numpy as np
 
 from ...linear.blocks.field_blocks import Weights
 from ...mechanics.contact.obstacles import way_at_start, way_over
-from ...mechanics.contact.rows import Rows, tangents_of
-from ...rotations import Array
+from ...mechanics.contact.rows import Rows
+from ...rotations import Array, tangents_of
 from ...system.compiled.declarations import constants
 from .contact_newton import ContactStep, openings
 from .contact_stepper import ContactStepper

@@ -21,7 +21,7 @@ from ...errors import require
 from ...fem.material_points import MaterialPoint, check_point, material_point
 from ...mechanics.bodies.bodies import AbsoluteBody, FloatingBody
 from ...mechanics.reduction.craig_bampton import ReducedBody
-from ...rotations import Array
+from ...rotations import Array, matvec
 from ..compiled.recording import Look, Recorded
 from ..evaluation import Evaluation
 from ..layout import Layout, State
@@ -130,22 +130,17 @@ class PointMotion(PointSensor):
 
         P = p.lever + p.value(s.local_q(q, p.number))
         if self.derivative == 0:
-            return np.asarray(pose[..., :d] + _turned(R, P))
+            return np.asarray(pose[..., :d] + matvec(R, P))
 
         w = twist[..., d:]
         rate = p.value(s.local_v(v, p.number))
         if self.derivative == 1:
-            return np.asarray(twist[..., :d] + _turned(R, m.spin(w, P) + rate))
+            return np.asarray(twist[..., :d] + matvec(R, m.spin(w, P) + rate))
 
         accel = s.twist_of(a, k)
         second = p.value(s.local_v(a, p.number))
         turning = m.spin(accel[..., d:], P) + m.spin(w, m.spin(w, P)) + 2 * m.spin(w, rate)
-        return np.asarray(accel[..., :d] + _turned(R, turning + second))
-
-
-def _turned(R: Array, x: Array) -> Array:
-    """R x, (.., d)."""
-    return np.asarray((R @ x[..., None])[..., 0])
+        return np.asarray(accel[..., :d] + matvec(R, turning + second))
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from ....fem.traces.mortar import diameters, neighbours
-from ....fem.traces.traces import Trace, lagrange, quadrature
-from ....mechanics.contact.mortar import MortarPair, across
+from ....fem.traces.traces import Trace, across, lagrange, quadrature
+from ....mechanics.contact.mortar import MortarPair
 from ....system.compiled.declarations import enumeration
 from .structures import MEETING
 
