@@ -16,6 +16,7 @@ from fmbd_fenicsx.linear import configuration_warnings
 from fmbd_fenicsx.linear.configuration_warnings import CLOSE, NearSingular
 from fmbd_fenicsx.matrices import singular_values
 from fmbd_fenicsx.schemes.marching import MarchingStepper
+from fmbd_fenicsx.system import dependence
 from fmbd_fenicsx.system.dependence import rows_are_independent
 from fmbd_fenicsx.system.mobility import Mobility, nearly_dependent
 
@@ -487,6 +488,32 @@ def test_singular_values_that_do_not_converge_are_found_the_slow_way(monkeypatch
     assert (found.rank, found.rows) == (given.rank, given.rows)
     with pytest.raises(LinearSolveError, match="not finite"):
         singular_values(np.full((2, 2), np.nan))
+
+
+@pytest.mark.parametrize("height", [0.0, 1e-9])
+def test_many_rows_are_looked_at_by_a_sparse_factor(height: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A tower of four-bar loops in space, one of them with a hinge out of place by that: three rows of each depend on others."""
+    scene = fmbd.Scene("tower", gravity=(0.0, 0.0, -9.81))
+    low: Any = fmbd.ground
+    for k in range(8):
+        top = fmbd.RigidBody(f"top {k}", 1.0, np.eye(3), (0.5, 0.0, k + 1.0))
+        scene.add(top)
+        for i, x in enumerate((0.0, 1.0)):
+            leg = fmbd.RigidBody(f"leg {k} {i}", 1.0, np.eye(3), (x, 0.0, k + 0.5))
+            scene.add(leg)
+            for name, a, b, z in (("low", low, leg, k), ("high", leg, top, k + 1.0)):
+                off = height if k + i == 0 else 0.0
+                scene.add(fmbd.revolute(f"{name} {k} {i}", a, b, center=(x, off, z), axis=(off, 1.0, 0.0)))
+        low = top
+
+    dense = scene.check()
+    monkeypatch.setattr(dependence, "FEW_ROWS", 16)
+    sparse = scene.check()
+    assert dense.redundant == 24 and dense.freedom == 8
+    assert sparse.rank == dense.rank
+    assert sparse.shares == pytest.approx(dense.shares, rel=1e-6)
+    assert sparse.conditioning == pytest.approx(dense.conditioning, rel=1e-3)
+    assert sparse.misfit == pytest.approx(dense.misfit, rel=1e-3, abs=1e-14)
 
 
 def test_mobility_of_the_flat_double_four_bar() -> None:

@@ -23,12 +23,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 from scipy.linalg.lapack import dpotrf, dpotrs
-from scipy.sparse.linalg import splu
+from scipy.sparse.linalg import eigsh, splu
 
 from ..matrices import dense, singular_values
 from ..mechanics.bodies.coordinates import CoordinatePart
@@ -41,6 +42,9 @@ DEPENDENT = 0.1 * SHUT  # singular values below this share of the largest belong
 NEAR_SINGULAR = 1e-6
 CERTAIN = 1e-5  # smallest over largest singular value above which a Gram matrix shows that rows are independent
 INVERSE_ITERATIONS = 4
+FEW_ROWS = 300  # up to which singular values are all looked at
+ROUNDOFF = 16.0 * EPS  # of G G^T, over its largest eigenvalue
+EXACT = 1e-4  # share by which that may be off
 LEAST_PART = math.sqrt(EPS)  # of a row at a frame, in (2): roundoff over it is below DEPENDENT
 UNEVEN = 1e3  # range of sizes of motions from which on rows are looked at again
 FREE = 1e-10  # of the equations of (2), against their weights
@@ -86,21 +90,88 @@ def scaled_jacobian(ev: Evaluation) -> Array:
     return _normed(np.concatenate(columns, axis=1))
 
 
-def scaled_rows(ev: Evaluation) -> tuple[Array, Array, int]:
-    """Left singular vectors of G_s, singular values over the largest, and the rank; with (2) where rows depend less then."""
-    G = scaled_jacobian(ev)
-    U, s, clear = _singular(G)
-    if clear < len(G) and (even := _evened(G, _frames(ev))) is not None:
-        V, size, now = _singular(even)
-        U, s = (V, size) if now > clear else (U, s)
-    return U, s, int((s > DEPENDENT).sum())
+@dataclass(frozen=True)
+class Dependence:
+    """The smallest singular values of G_s (rows x columns), of which some count as zero, ascending.
+
+    ``vectors``: left ones, (rows, k); ``sizes``: values over the largest, (k,), with zeros for rows beyond the columns.
+    """
+
+    rows: int
+    columns: int
+    vectors: Array
+    sizes: Array
+
+    @property
+    def loose(self) -> int:
+        """Values that count as zero."""
+        return int((self.sizes <= DEPENDENT).sum())
+
+    @property
+    def rank(self) -> int:
+        """Independent rows."""
+        return self.rows - self.loose
+
+    @property
+    def clear(self) -> int:
+        """Values far from zero."""
+        return self.rows - int((self.sizes <= NEAR_SINGULAR).sum())
+
+    def of(self, rank: int) -> tuple[float, Array]:
+        """The smallest of so many values, and its vector."""
+        k = self.rows - min(rank, self.columns)
+        return float(self.sizes[k]), self.vectors[:, k]
 
 
-def _singular(G: Array) -> tuple[Array, Array, int]:
-    """Left singular vectors, singular values over the largest, and how many of these are far from zero."""
-    U, s, _ = singular_values(G, full=G.shape[0] > G.shape[1])
-    s = s / (s[0] or 1.0)
-    return U, s, int((s > NEAR_SINGULAR).sum())
+def scaled_rows(ev: Evaluation) -> Dependence:
+    """What rows of G_s depend on each other, with (2) where they depend less then."""
+    G = _scaled(ev)
+    found = _smallest(G)
+    if found.clear < found.rows and (even := _evened(G, _frames(ev))) is not None:
+        evened = _smallest(even)
+        found = evened if evened.clear > found.clear else found
+    return found
+
+
+def _scaled(ev: Evaluation) -> Any:
+    """G_s, sparse where the Jacobian is and no field has ports."""
+    core = ev.jacobian.core
+    if ev.system.fields or not sp.issparse(core):
+        return scaled_jacobian(ev)
+    return _normed(core.tocsr() @ sp.diags_array(1.0 / np.sqrt(_masses(ev))))
+
+
+def _smallest(G: Any) -> Dependence:
+    """The smallest singular values of G, some of them far from zero. Few rows take all; of many those on vectors that inverse
+    iterations with G G^T leave, which the roundoff of squares does not reach.
+    """
+    m, count = G.shape[0], FEW_ROWS // 8
+    if m > FEW_ROWS:
+        G = sp.csr_array(G)
+        solve, largest = _gram(G, ROUNDOFF)
+        assert solve is not None
+        V = np.random.default_rng(0).normal(size=(m, count))
+        # trace of the part of the identity that solutions are made of, which counts values of roundoff
+        count += int(1.2 * ROUNDOFF * largest * np.vdot(V, solve(V)) / count)
+
+    while m > max(FEW_ROWS, 2 * count):
+        V = np.random.default_rng(0).normal(size=(m, count))
+        for _ in range(INVERSE_ITERATIONS):
+            V = np.linalg.qr(solve(V))[0]
+        found = _found_on(G, V)
+        if found.clear > m - count:
+            return found
+        count *= 2
+    return _found_on(G, np.eye(m))
+
+
+def _found_on(G: Any, V: Array) -> Dependence:
+    """Singular values of G on the span of V (rows, k)."""
+    (m, n), k = G.shape, V.shape[1]
+    _, s, W = singular_values(dense(G.T @ V), full=k > n)
+    largest = s[0] if k == m else math.sqrt(eigsh(G @ G.T, 1, v0=np.ones(m), tol=EXACT)[0][0])
+    sizes = np.concatenate((s, np.zeros(k - len(s)))) / (largest or 1.0)
+    return Dependence(m, n, (V @ W.T)[:, ::-1], sizes[::-1])
 
 
 def _frames(ev: Evaluation) -> Any:
@@ -144,9 +215,7 @@ def rows_are_independent(ev: Evaluation, above: float = CERTAIN) -> bool:
     A factor of G_s G_s^T and a few inverse iterations tell its smallest eigenvalue, sigma_min^2: for chains and trees the work is
     proportional to their length. Squares hide what is below 1e-8, so only sigma_min > 1e-5 sigma_max is certain.
     """
-    s, core = ev.system, ev.jacobian.core
-    whole = s.fields or not sp.issparse(core)
-    G: Any = scaled_jacobian(ev) if whole else _normed(core.tocsr() @ sp.diags_array(1.0 / np.sqrt(_masses(ev))))
+    G = _scaled(ev)
     if _certainly(G, above):
         return True
     even = _evened(G, _frames(ev)) if above <= CERTAIN else None
@@ -159,11 +228,14 @@ def _certainly(G: Any, above: float) -> bool:
     return solve is not None and inverse_iterated(solve, G.shape[0]) * largest < 1.0 / above**2
 
 
-def _gram(G: Any) -> tuple[Callable[[Array], Array] | None, float]:
-    """What solves with G G^T, None where it has no factor, and a bound of its largest eigenvalue."""
+def _gram(G: Any, shift: float = 0.0) -> tuple[Callable[[Array], Array] | None, float]:
+    """What solves with G G^T, None where it has no factor, and a bound of its largest eigenvalue; ``shift``: share of that bound
+    that is added.
+    """
     gram = G @ G.T
     largest = float(abs(gram).sum(axis=0).max())
     if sp.issparse(gram):
+        gram = gram + shift * largest * sp.eye_array(G.shape[0])
         try:
             return splu(gram.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0).solve, largest
         except RuntimeError:  # a pivot is zero

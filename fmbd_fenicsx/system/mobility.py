@@ -92,27 +92,27 @@ def mobility(ev: Evaluation) -> Mobility:
     if not system.n_lam:
         return Mobility(velocities, 0, 0, {}, 1.0, 0.0)
 
-    U, s, rank = scaled_rows(ev)
-    loose = (U[:, rank:] ** 2).sum(1)  # the share of each row in what depends on others
+    found = scaled_rows(ev)
+    loose, sizes = found.loose, found.sizes
+    part = (found.vectors[:, :loose] ** 2).sum(1)  # the share of each row in what depends on others
     # dependence has no culprit: every row that takes part bears its share
-    shares = {b.name: float(loose[b.rows].sum()) for b in system.blocks}
+    shares = {b.name: float(part[b.rows].sum()) for b in system.blocks}
     return Mobility(
         velocities,
         system.n_lam,
-        rank,
+        found.rank,
         {name: x for name, x in shares.items() if x > 1e-6},
-        float(s[rank - 1]) if rank else 0.0,
+        float(sizes[loose]) if found.rank else 0.0,
         float(np.abs(ev.constraint()).max()),
-        misfit=float(s[rank]) if 0 < rank < len(s) else 0.0,
+        misfit=float(sizes[loose - 1]) if loose and found.rank else 0.0,
     )
 
 
 def nearly_dependent(ev: Evaluation, rank: int) -> tuple[float, str]:
     """sigma_rank / sigma_1 of the scaled G, and the joint with the largest part in that smallest singular vector."""
-    U, s, _ = scaled_rows(ev)
-    k = min(rank, len(s)) - 1
-    part = {b.name: float((U[b.rows, k] ** 2).sum()) for b in ev.system.blocks}
-    return float(s[k]), max(part, key=lambda name: part[name])
+    size, vector = scaled_rows(ev).of(rank)
+    part = {b.name: float((vector[b.rows] ** 2).sum()) for b in ev.system.blocks}
+    return size, max(part, key=lambda name: part[name])
 
 
 def nearly_the_same(ev: Evaluation, found: Mobility) -> str:
@@ -122,7 +122,7 @@ def nearly_the_same(ev: Evaluation, found: Mobility) -> str:
     """
     if not found.redundant or not found.rank or found.conditioning >= CLEAR:
         return ""
-    vector = scaled_rows(ev)[0][:, found.rank - 1] ** 2
+    vector = scaled_rows(ev).of(found.rank)[1] ** 2
     joints = ", ".join(f'"{b.name}"' for b in ev.system.blocks if vector[b.rows].sum() > 0.1)
     return (
         f"joints {joints} hold nearly the same: what they hold beyond each other moves by {found.conditioning:.1e} of what "
