@@ -37,6 +37,7 @@ def damped(mesh: Any) -> fmbd.Scene:
     return scene
 
 
+@pytest.mark.mpi
 def test_a_complex_factor_solves_with_the_matrix_of_the_field(rod_mesh: Callable[..., Any]) -> None:
     field = damped(rod_mesh(h=0.5)).build()[0].fields[0][1].field
     factor = ComplexFactor(field, 1.0 + 2.0 / S, 1.0 / S**2 + 1e-4 / S, 0.0)
@@ -96,6 +97,7 @@ def test_exact_factors_leave_nothing_where_nothing_turns(rod_mesh: Callable[...,
         assert (np.abs(x - y).max(axis=1) < 2e-2 * np.abs(y).max(axis=1)).all()
 
 
+@pytest.mark.mpi
 def test_frequencies_get_factors_when_they_come_back(rod_mesh: Callable[..., Any]) -> None:
     """The first one is that of the grid; others have its next one until they have been asked for a few times."""
     system = pendulum(rod_mesh(dim=2, h=0.5, height=0.2)).build()[0]
