@@ -9,13 +9,15 @@ from typing import Any
 import numpy as np
 import pytest
 from dae_problems import pendulum
+from profiled import calls_of
 from tolerance_more import MORE, copper_arm, springs_in_millimetres
 from tolerance_scenes import CASES, MESHES
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError, PartsError
+from fmbd_fenicsx.linear import configuration_warnings
 from fmbd_fenicsx.run import single_run, time_loop
-from fmbd_fenicsx.run.accuracy import companion_runs, equal_steps, larger_steps
+from fmbd_fenicsx.run.accuracy import companion_runs, equal_steps, jumps_in_time, larger_steps
 from fmbd_fenicsx.run.accuracy.deviation import Deviation
 from fmbd_fenicsx.run.accuracy.search import (
     dear_attempt,
@@ -202,6 +204,49 @@ def test_loads_are_asked_once_at_a_time() -> None:
     asked.clear()
     next_attempt.jumps_before(plan, shared)
     assert 200 < len(asked) < 260 and len(asked) - len(set(asked)) < 5
+
+
+def test_rows_of_joints_are_looked_at_by_the_driver_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Runs that tell an error begin where the first one found them independent."""
+
+    def refuse(*given: Any) -> None:
+        raise AssertionError("rows are looked at by NumPy")
+
+    monkeypatch.setattr(configuration_warnings, "rows_are_independent", refuse)
+    case = CASES["geared chain"]
+    run = fmbd.solve(case.scene(), t_end=case.t_end, tol=case.tol(1e-3), output=fmbd.Output(progress=False))
+    assert len(run.history) == 2
+
+
+def test_a_ramp_of_gravity_is_not_looked_at_for_jumps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is smooth; a gravity of the user's own may jump."""
+    hanging = CASES["mass on spring"].scene
+    looked: list[int] = []
+    rows = jumps_in_time.HeldState.rows
+
+    def noted(self: Any, times: Any) -> Any:
+        looked.append(len(times))
+        return rows(self, times)
+
+    monkeypatch.setattr(jumps_in_time.HeldState, "rows", noted)
+    output = fmbd.Output(progress=False)
+    fmbd.solve(replace(hanging(), gravity_ramp=0.1), t_end=1.0, tol={"weight": 1e-3}, output=output)
+    assert not looked
+    pull = lambda t: (0.0, -9.81 if t < 0.503 else 0.0)  # noqa: E731
+    run = fmbd.solve(replace(hanging(), gravity=pull), t_end=1.0, tol={"weight": 1e-3}, output=output)
+    assert looked and run.scene.breakpoints == pytest.approx((0.503,))
+
+
+def test_a_load_of_time_is_asked_in_few_calls() -> None:
+    """Of Python's functions beside the user's own: it was eleven a step."""
+
+    def run(steps: int) -> Any:
+        output = fmbd.Output(every=steps, energy=False, progress=False)
+        return lambda: fmbd.solve(springs_in_millimetres(), t_end=0.5, dt=0.5 / steps, output=output)
+
+    run(100)()
+    few, many = (calls_of(run(n)) for n in (100, 300))
+    assert many - few < 10 * 200
 
 
 def at_a_stop() -> fmbd.Scene:

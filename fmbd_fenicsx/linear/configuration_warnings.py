@@ -36,6 +36,11 @@ def dependent_rows(ev: Evaluation) -> tuple[int, int]:
     return found
 
 
+def note_independent_rows(ev: Evaluation) -> None:
+    """No rows depend in a configuration: runs that begin in it need not look."""
+    ev.system.cache["dependent rows"] = ev.t, ev.q.copy(), (0, 0)
+
+
 def _look(ev: Evaluation) -> tuple[int, int]:
     """See :func:`dependent_rows`."""
     if not ev.system.n_lam or rows_are_independent(ev):

@@ -23,6 +23,7 @@ from ..system.evaluation import Evaluation
 from ..system.layout import State, States
 from ..system.system import System
 from .blocks.field_blocks import FactoredField, FieldBlocks, Weights
+from .configuration_warnings import note_independent_rows
 from .core import CoreSolver
 
 MASSES = Weights(1.0, 0.0, 0.0)
@@ -82,6 +83,8 @@ class DriverSolver:
             while not (factored or self.core.redundant) and self.states.unlock():
                 factored = factor.prepare(ev, 0.0, 0.0)
             self.usable = factored and (factor.independent() or rows_are_independent(ev))
+            if self.usable:
+                note_independent_rows(ev)
 
     def _solves(self) -> bool:
         """Whether the driver solves: rows do not depend on each other, or are known to, for the smallest multipliers then."""

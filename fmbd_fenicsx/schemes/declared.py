@@ -56,7 +56,9 @@ class Declared:
     @classmethod
     def by(cls, scheme: Any) -> Declared:
         """What a scheme says, with what holds where it says nothing."""
-        return cls(**{name: getattr(scheme, name, default) for name, default in _members()})
+        made = object.__new__(cls)  # asked many times a run, and nothing of it is checked
+        made.__dict__.update({name: getattr(scheme, name, default) for name, default in _members()})
+        return made
 
     def refuse(self, name: str, held: Contents) -> str:
         """Why the scheme ``name`` does not take what a scene holds, "" where it does; known before anything is computed."""

@@ -170,12 +170,8 @@ class TimeLoads(Loads):
 
     def value(self, i: int, t: float) -> Array:
         """The force (N) or torque (N m) of load i at time t, in its own axes."""
-        return np.asarray(self.numbers(i, t))
-
-    def numbers(self, i: int, t: float) -> Sequence[float] | Array:
-        """The components of :meth:`value` as numbers."""
         f = self.forces[i]
-        return self.laws[i].numbers(self.motions.n_rot if f.turns else self.motions.dim, t)
+        return np.asarray(self.laws[i].numbers(self.motions.n_rot if f.turns else self.motions.dim, t))
 
     def wrenches(self, kin: Kinematics, t: float) -> tuple[Array, Array]:
         """Forces and torques prescribed in time."""

@@ -17,7 +17,7 @@ import numpy as np
 
 from ...checks import check_fields, number, whole
 from ...errors import InputError, near, require
-from ...rotations import SPACE, Array
+from ...rotations import Array
 from ..bodies.bodies import RigidBody, Surface, Vector
 from ..body import Body
 from .curves import Curve, constant_or_along
@@ -201,9 +201,10 @@ class Rod(Body):
     @cached_property
     def poses(self) -> Array:
         """Poses of the nodes at the start, (n, 7)."""
-        x = self.reference.at(self.nodes)[0]
-        rotations = self.poses_matrix
-        return np.array([SPACE.pose(x[i], rotations[i]) for i in range(len(x))])
+        from scipy.spatial.transform import Rotation
+
+        turned = Rotation.from_matrix(self.poses_matrix).as_quat()
+        return np.concatenate((self.reference.at(self.nodes)[0], turned), axis=1)
 
     @cached_property
     def connectivity(self) -> np.ndarray:

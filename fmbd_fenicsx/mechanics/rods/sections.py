@@ -101,31 +101,16 @@ class RodSection:
         """Stiffness at the places s (n,), (n, 6, 6); checked. Zeros for an energy of the user's own."""
         if self.stiffness is None:
             return np.zeros((len(s), 6, 6))
-        places = [float(x) for x in s]
-        found = np.array(
-            [_matrix(x, 6, "stiffness", at) for x, at in zip(_along(self.stiffness, s), places, strict=True)]
-        )
-        for C, at in zip(found, places, strict=True):
-            check_matrix(C, "stiffness", at)
-        return found
+        return _along(self.stiffness, s, lambda x, at: check_matrix(_matrix(x, 6, "stiffness", at), "stiffness", at))
 
     def masses(self, s: Array) -> Array:
         """kg/m at the places s, (n,)."""
-        given = zip(_along(self.mass, s), s, strict=True)
-        return np.array([number(f"Section: at s = {at:g} m: mass", x, above=0.0, unit="kg/m") for x, at in given])
+        of = "Section: at s = {:g} m: mass"
+        return _along(self.mass, s, lambda x, at: np.array(number(of.format(at), x, above=0.0, unit="kg/m"), float))
 
     def inertias(self, s: Array) -> Array:
         """Rotary inertia at the places s, (n, 3, 3), kg m."""
-        places = [float(x) for x in s]
-        found = np.array([_matrix(x, 3, "inertia", at) for x, at in zip(_along(self.inertia, s), places, strict=True)])
-        for J, at in zip(found, places, strict=True):
-            check_matrix(J, "inertia", at)
-            p = np.linalg.eigvalsh(J)
-            require(
-                p[0] + p[1] >= p[2] * (1 - 1e-9),
-                f"Section: principal inertias {p} at s = {at:g} m violate J1 + J2 >= J3; no cross-section has them.",
-            )
-        return found
+        return _along(self.inertia, s, lambda x, at: _check_inertia(_matrix(x, 3, "inertia", at), at))
 
     def arms(self, s: Array) -> Arms | None:
         """The viscoelastic arms at the Gauss points s (m, q), m; None without any."""
@@ -190,9 +175,12 @@ class LinearLaw:
         return self.C
 
 
-def _along(given: Any, s: Array) -> list[Any]:
-    """A constant, or a function of s, at the places s."""
-    return [given(float(x)) for x in s] if callable(given) else [given] * len(s)
+def _along(given: Any, s: Array, made: Callable[[Any, float], Array]) -> Array:
+    """A constant, or a function of s (m), as it is ``made`` to an array at the places s, (n, ...); a constant once."""
+    places = [float(x) for x in s]
+    if callable(given):
+        return np.array([made(given(at), at) for at in places])
+    return np.repeat(made(given, places[0])[None], len(s), axis=0)
 
 
 def _matrix(given: Any, n: int, what: str, s: float) -> Array:
@@ -209,8 +197,8 @@ def _matrix(given: Any, n: int, what: str, s: float) -> Array:
     return found
 
 
-def check_matrix(C: Array, what: str, s: float) -> None:
-    """Refuse a matrix that is not symmetric and positive."""
+def check_matrix(C: Array, what: str, s: float) -> Array:
+    """A matrix, unless it is not symmetric and positive: this is refused."""
     check_symmetric(C, what, s)
     # each entry in units of its own: N and N m^2 are not compared
     size = np.sqrt(np.abs(np.diag(C)))
@@ -218,6 +206,17 @@ def check_matrix(C: Array, what: str, s: float) -> None:
         raise InputError(
             f"Section: {what} at s = {s:g} m is not positive: eigenvalues {np.round(np.linalg.eigvalsh(C), 12).tolist()}."
         )
+    return C
+
+
+def _check_inertia(J: Array, s: float) -> Array:
+    """A rotary inertia, unless no cross-section has it: this is refused."""
+    p = np.linalg.eigvalsh(check_matrix(J, "inertia", s))
+    if p[0] + p[1] < p[2] * (1 - 1e-9):
+        raise InputError(
+            f"Section: principal inertias {p} at s = {s:g} m violate J1 + J2 >= J3; no cross-section has them."
+        )
+    return J
 
 
 def check_symmetric(C: Array, what: str, s: float) -> None:

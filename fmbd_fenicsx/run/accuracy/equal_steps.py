@@ -53,7 +53,7 @@ class TimeError:
     """Error of time and observed order of each sensor; ``with_others``: the cheapest run that follows the same motion;
     ``halved``: told by one with half the step. ``unseen``: no order was seen where one had to be. ``by_chance``: sensors whose
     orders are, see :func:`compare_steps`. ``told_by``: the fewest steps of the runs that tell it, those that only show the order
-    left out where it is that of the scheme.
+    left out where it is that of the scheme. ``apart``: what the run has beyond the next one with larger steps.
     """
 
     errors: dict[str, Deviation]
@@ -63,6 +63,7 @@ class TimeError:
     unseen: bool = False
     by_chance: frozenset[str] = frozenset()
     told_by: int = 0
+    apart: Mapping[str, Deviation] = field(default_factory=dict)
 
 
 def time_error(problem: Problem, fine: Recorder, schedule: StepSchedule, *, kinked: bool = False) -> TimeError:
@@ -186,7 +187,7 @@ def doubtful(
     if ratio <= MORE_THAN_TWICE:
         return False
 
-    apart = between(given.recorder, coarser.recorder, expected)
+    apart = found.apart
     return (
         not found.by_chance.isdisjoint({*sensors, *astray(given, apart, MATTERS)})
         or bool(astray(given, {n: apart[n] for n in sensors}))
@@ -220,9 +221,9 @@ def compare_steps(
     fine, coarse = given.recorder, coarser[0].recorder
     ratio = given.steps / coarser[0].steps
     errors, orders, by_chance = {}, {}, set()
+    beyond = between(fine, coarse, fine.series)
 
-    for name in fine.series:
-        apart = _deviation(fine, coarse, name)
+    for name, apart in beyond.items():
         p = float("nan") if known is None else known.get(name, float("nan"))
         if len(coarser) > 1 and apart.size > 0:
             steps = coarser[1].steps, coarser[0].steps, given.steps
@@ -241,7 +242,8 @@ def compare_steps(
     others = [made for made in coarser if follows and made.steps >= FEWEST]
     regular = resolved(seen, expected, REGULAR) and all(p <= expected[n] + TOO_HIGH for n, p in seen.items())
     told_by = coarser[0 if regular else -1].steps
-    return TimeError(errors, orders, others[-1] if others else given, by_chance=frozenset(by_chance), told_by=told_by)
+    follower, chance = others[-1] if others else given, frozenset(by_chance)
+    return TimeError(errors, orders, follower, by_chance=chance, told_by=told_by, apart=beyond)
 
 
 def of_order(

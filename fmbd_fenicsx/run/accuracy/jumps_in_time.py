@@ -181,8 +181,10 @@ def _halved(held: TimeRows, x: Intervals, scale: Array) -> dict[int, float]:
 
 
 def loads_vary(scene: Scene, system: System) -> bool:
-    """Whether loads and drives may be functions of time alone: not where velocities jump. What gets no energy knows no time."""
-    return not (struck_or_sampled(scene) or closed(scene, system))
+    """Whether loads and drives may be functions of time alone that jump: not where velocities jump. What gets no energy knows no
+    time, and a ramp of gravity is smooth.
+    """
+    return not (struck_or_sampled(scene) or closed(scene, system, ramped=True))
 
 
 def jumps_about_kinks(run: Run, schedule: StepSchedule, sensors: Iterable[str]) -> tuple[float, ...]:

@@ -40,13 +40,14 @@ def expected_orders(scheme: Any, scene: Scene, system: System) -> dict[str, int]
     """
     keeps_volumes = any(part.field.keeps_volume for _, part in system.fields)
     of_index_3 = keeps_volumes and isinstance(scheme, OfForm)
-    of_volumes = replace(scheme, form=Index3()) if of_index_3 else scheme
-    orders = Declared.by(of_volumes).orders if system.blocks or keeps_volumes else None
+    said = Declared.by(scheme)
+    of_volumes = Declared.by(replace(scheme, form=Index3())) if of_index_3 else said
+    orders = of_volumes.orders if system.blocks or keeps_volumes else None
     known = (scheme.order,) * 3 if orders is None else orders
-    if Declared.by(scheme).corrects and not system.fields:
+    if said.corrects and not system.fields:
         known = (*known[:2], known[1])
 
-    found = collocated(system) if Declared.by(scheme).finds_memories else []
+    found = collocated(system) if said.finds_memories else []
     left = [keeper for keeper in system.keepers if keeper not in found]
     remembers = any(len(keeper.memory_values()) for keeper in left) or seen_by_ends(system)
     highest = OF_MEMORIES if remembers else max(known)

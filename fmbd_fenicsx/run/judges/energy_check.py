@@ -39,20 +39,29 @@ SETTLING = 10
 ROUNDOFF = 1e-12
 
 
-def closed(scene: Scene, system: System) -> bool:
-    """Whether nothing can put energy into a scene, no contact may take it away in impacts, and no law of an element bends."""
-    return not scene.unilateral and isolated(scene, system) and all([law.conserves for law in _laws(system)])
+def closed(scene: Scene, system: System, *, ramped: bool = False) -> bool:
+    """Whether nothing can put energy into a scene, no contact may take it away in impacts, and no law of an element bends;
+    ``ramped``: see :func:`isolated`.
+    """
+    return (
+        not scene.unilateral
+        and isolated(scene, system, ramped=ramped)
+        and all([law.conserves for law in _laws(system)])
+    )
 
 
-def isolated(scene: Scene, system: System) -> bool:
-    """Whether nothing can put energy into a scene: obstacles that move as prescribed do, others do not."""
+def isolated(scene: Scene, system: System, *, ramped: bool = False) -> bool:
+    """Whether nothing can put energy into a scene: obstacles that move as prescribed do, others do not. ``ramped``: but for
+    gravity that is switched on.
+    """
     pushed = system.contacts is not None and any(p.moving for p in system.contacts.pairs)
     worked = any([b.may_do_work for b in scene.bodies.values()])
     driven = any([batch.driven for batch, _ in system.batches])
     moved = any(tie.motion is not None for tie in scene.ties.values())
     forced = any([not isinstance(f, ScalarLoads) for f in system.forces])
     forced = forced or any([not isinstance(law, EffortLaw) or law.gives for law in _laws(system)])
-    return not (worked or driven or moved or forced or pushed or scene.gravity_changes or scene.sliders)
+    heavier = callable(scene.gravity) if ramped else scene.gravity_changes
+    return not (worked or driven or moved or forced or pushed or heavier or scene.sliders)
 
 
 def lossless(scene: Scene, system: System) -> bool:

@@ -126,7 +126,7 @@ class Calls:
         """What is done for each of the numbers that C asks with: (number of a batch, body or rod; time)."""
         tables = self.tables
         said: dict[str, Callable[[int, float], None]] = {
-            "SAMPLE": lambda part, t: self.sample(t, part),
+            "SAMPLE": self.sample,
             "EFFORT": lambda number, t: self._effort(tables.sources[number], t),
             "EFFORT_MEANS": lambda number, t: self._mean_effort(tables.sources[number], t),
             "SLOPES": lambda number, t: self._slopes(tables.sources[number], t),
@@ -172,11 +172,12 @@ class Calls:
         for function in self.asked:
             function.error = None
 
-    def sample(self, t: float, part: int = WHOLE_SAMPLE) -> None:
-        """Everything that depends on time only, or a part of it as ``driver/tables.h`` has them."""
+    def sample(self, part: int, t: float) -> None:
+        """Everything that depends on time only, WHOLE_SAMPLE, or a part of it as ``driver/tables.h`` has them."""
         if part != RATES:
             self._ask_laws_of_time(t)
-        self._move(t, part)
+        if self.prescribed:
+            self._move(t, part)
 
     def _move(self, t: float, part: int) -> None:
         """Motions at a time: (s, s', s''), or what a part of a sample has of these."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
+from types import FunctionType
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from ..system import System
 from .scene import Scene
 
 FEW = 300  # unknowns of a body up to which nearly all that a run costs does not depend on their number
+PLAIN = {type(None), bool, int, float, str, np.ndarray, FunctionType}  # what refers to no body
 SOLID_RATE = 4.0  # squares of the size of the elements, less at corners
 
 
@@ -40,6 +42,8 @@ class _Swap:
 
     def of(self, x: Any) -> Any:
         """x itself, or a copy in which replaced objects are the new ones."""
+        if type(x) in PLAIN:
+            return x
         if id(x) in self.swap:
             return self.swap[id(x)]
         if id(x) not in self.made:

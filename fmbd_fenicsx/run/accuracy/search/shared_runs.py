@@ -244,7 +244,7 @@ class SharedRuns:
             if found.unseen:
                 return found
 
-        if not astray(given, between(given.recorder, coarser[0].recorder, orders)):
+        if not astray(given, found.apart):
             found = falling_slowly(found, orders, (given, coarser[0]), allowed.sensors, allowed.lets)
         return replace(found, unseen=unseen and not known_orders(found))
 
@@ -309,8 +309,7 @@ class SharedRuns:
             return replace(whole, errors=of_order(orders, given, coarser, 0.5), orders=halves, with_others=given)
         if allowed.rough and not allowed.lets(whole.errors):
             return replace(whole, with_others=coarser)
-        apart = between(given.recorder, coarser.recorder, orders)
-        if coarser.schedule.steps in self._untold or astray(given, apart):
+        if coarser.schedule.steps in self._untold or astray(given, whole.apart):
             return None
         if not allowed.lets(of_order(orders, given, coarser, 0.5)):
             return None

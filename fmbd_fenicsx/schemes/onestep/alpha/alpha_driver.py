@@ -16,7 +16,7 @@ from ....errors import BalanceError
 from ....kernel_cache import address_of
 from ....rotations import Array
 from ....system.compiled import march as slots
-from ....system.compiled.calls import Calls
+from ....system.compiled.calls import WHOLE_SAMPLE, Calls
 from ....system.compiled.choice import STORAGE_LIMIT, driver_of, solves
 from ....system.compiled.march import JointLimits, March
 from ....system.compiled.tables.bodies.fields import Block
@@ -98,7 +98,7 @@ class AlphaDriver(March):
         that at hand; None where NumPy has to do.
         """
         if self.tables.c.samples > (1 if weights is None else 0):
-            self.calls.sample(t)  # a step may have left out the rates of motions
+            self.calls.sample(WHOLE_SAMPLE, t)  # a step may have left out the rates of motions
 
         twin, (q, v, a, lam) = self.tables.twin, arrays
         v, a, missed = twin.velocities(np.stack((v, a, missed)))

@@ -166,9 +166,10 @@ def _loads(loads: TimeLoads, dim: int) -> list[Items]:
             continue
         kind = (("dead", "follower"), ("couple", "follower_couple"))[turns][follower]
         size = dim if not turns else 2 * dim - 3
+        laws = [loads.laws[i].numbers for i in which]
 
-        def load(t: float, which: list[int] = which) -> dict[str, Array]:
-            return {"load": np.array([loads.numbers(i, t) for i in which], dtype=float)}
+        def load(t: float, asked: list[Any] = laws, size: int = size) -> dict[str, Array]:
+            return {"load": np.array([numbers(size, t) for numbers in asked], dtype=float)}
 
         markers = np.stack((loads.a, loads.a), axis=1)[which]
         constants = load(0.0) if steady else {"load": np.zeros((len(which), size))}
