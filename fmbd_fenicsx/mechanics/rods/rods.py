@@ -204,7 +204,8 @@ class Rod(Body):
         from scipy.spatial.transform import Rotation
 
         turned = Rotation.from_matrix(self.poses_matrix).as_quat()
-        return np.concatenate((self.reference.at(self.nodes)[0], turned), axis=1)
+        square = turned[:, None] @ turned[:, :, None]
+        return np.concatenate((self.reference.at(self.nodes)[0], turned / np.sqrt(square[:, 0])), axis=1)
 
     @cached_property
     def connectivity(self) -> np.ndarray:
