@@ -143,7 +143,7 @@ def often(sizes: Array) -> Array:
 def _sparse_blocks(system: System) -> bool:
     """Whether all elastic blocks are sparse matrices with few entries."""
     parts = [part for _, part in system.fields]
-    sparse = all(p.slack is None and p.heavier is None for p in parts)
+    sparse = all(p.heavier is None for p in parts)
     return sparse and _entries(system) <= ENTRIES
 
 

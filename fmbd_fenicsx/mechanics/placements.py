@@ -175,10 +175,10 @@ class DistributedPart(Part, Protocol):
         """Which columns are in use, at whatever time."""
         return 0
 
-    def port_entries(self, ports: np.ndarray, t: float) -> tuple[np.ndarray, Array, Array]:
-        """Columns of ports that move, (k, m): the coordinates that each has, their entries, and the rates of these, 1/s."""
+    def port_entries(self, ports: np.ndarray, t: float) -> tuple[np.ndarray, Array, Array, Array]:
+        """Columns of ports that move, (k, m): the coordinates that each has, their entries, and two rates of these, 1/s, 1/s^2."""
         none = np.zeros((0, 0))
-        return none.astype(int), none, none
+        return none.astype(int), none, none, none
 
     @property
     def tangent_version(self) -> int:

@@ -38,7 +38,9 @@ Symmetric = structure_of(TABLES, "Symmetric")
 class ComplexFactor(FieldFactor):
     """The matrix factored, and every solve judged by its true residual; collective to build, to solve and to destroy."""
 
-    def __init__(self, field: Field, cm: complex, ck: complex, cd: complex = 0.0) -> None:
+    def __init__(
+        self, field: Field, cm: complex, ck: complex, cd: complex = 0.0, slack: np.ndarray | None = None
+    ) -> None:
         self.judge = Judge(f'the elastic block of body "{field.name}" for motions of complex frequency')
         self.refines = field.carried  # such pressures answer to what is left of volumes with the bulk modulus
         # mass, stiffness, own damping
@@ -46,6 +48,9 @@ class ComplexFactor(FieldFactor):
         self.comm = field.comm
         real, imaginary = (_matrix(field, cm.real, ck.real, cd.real), _matrix(field, cm.imag, ck.imag, cd.imag))
         self.matrix = sp.csr_matrix(real + 1j * imaginary)
+        if slack is not None:
+            self.slack = slack
+            self.matrix -= ck * left_out(field, slack)
         self.norm = float(rank_max(self.comm, np.asarray(abs(self.matrix).sum(axis=1)).max(initial=0.0)))
         try:
             self.by: SuperLU | RealForm = (
@@ -147,6 +152,12 @@ def _parted(x: Array, sign: float = -1.0) -> Array:
 def _joined(x: Array, sign: float) -> Array:
     """The numbers (n,) or (n, k) of such parts."""
     return np.asarray(x[::2] + 1j * sign * x[1::2])
+
+
+def left_out(field: Any, slack: np.ndarray) -> sp.csr_matrix:
+    """B^T k B of the springs of wires that are slack, by their numbers."""
+    B = field.B[slack]
+    return B.T @ sp.diags(field.stiff[slack]) @ B
 
 
 def _sizes(comm: Any, y: Array) -> Array:

@@ -236,7 +236,7 @@ class FieldBlocks:
         if isinstance(ck, complex):
             from .complex_factor import ComplexFactor
 
-            return ComplexFactor(field, complex(cm), ck, complex(cd))
+            return ComplexFactor(field, complex(cm), ck, complex(cd), part.slack)
         if part.slack is not None:
             from .low_rank import SlackFactor
 

@@ -32,10 +32,11 @@ class FieldFactor:
 
     ``how``: by what, in words. ``iterations``: of an inner Krylov method so far. ``fresh``: False where an earlier factorisation
     serves. ``hidden``: share of the inertia forces of a rigid motion that the roundoff of elastic forces may have, of nonlinear
-    bodies that turn.
+    bodies that turn. ``slack``: numbers of one-sided springs that its matrix leaves out.
     """
 
     judge: Judge
+    slack: np.ndarray = np.zeros(0, dtype=int)
     how = ""
     iterations = 0
     fresh = True

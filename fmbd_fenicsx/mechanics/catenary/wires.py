@@ -175,14 +175,14 @@ class Wires(Body):
 
 def slider_tables(
     body: Wires, field: LineField, sliders: Sequence[tuple[int, Any]], t: float
-) -> list[tuple[np.ndarray, Array, float]]:
-    """What points that slide see of the wires at time t (s): unknowns, and w, w_x, w_xx of them; their speeds, m/s."""
+) -> list[tuple[np.ndarray, Array, tuple[float, ...]]]:
+    """What points that slide see of the wires at time t (s): unknowns, and w, w_x, w_xx of them; x' and x'', m and s."""
     tables = []
     for wire, motion in sliders:
-        x, speed, _ = motion(t)
+        x, *rates = motion(t)
         if not 0 <= x <= body.length:
             raise InputError(f'A point that slides on wires "{body.name}" leaves them: x = {x:g} m at t = {t:g} s.')
-        tables.append((*field.shape(wire, x, 2), speed))
+        tables.append((*field.shape(wire, x, 2), tuple(rates)))
     return tables
 
 
@@ -284,17 +284,16 @@ class WiresPart(FieldPart):
         columns = [self.port_force(one, t) for one in np.eye(self.n_port)[used]]
         return np.reshape(columns, (len(used), self.n)).T
 
-    def port_entries(self, ports: np.ndarray, t: float) -> tuple[np.ndarray, Array, Array]:
-        """Entries (k, 4) of columns of :meth:`port_force` for values w and slopes w_x among the ports: unknowns, values, and
-        rates of these as the ports move, 1/s.
+    def port_entries(self, ports: np.ndarray, t: float) -> tuple[np.ndarray, Array, Array, Array]:
+        """Entries (k, 4) of columns of :meth:`port_force` for values w among the ports: unknowns, values, and two rates of these
+        as the ports move, 1/s and 1/s^2.
         """
         tables = self._tables(t)
-        slots = [(tables[p // self.PORTS], p % self.PORTS) for p in ports]
-        return (
-            np.reshape([dofs for (dofs, _, _), _ in slots], (len(ports), 4)),
-            np.reshape([table[order] for (_, table, _), order in slots], (len(ports), 4)),
-            np.reshape([speed * table[order + 1] for (_, table, speed), order in slots], (len(ports), 4)),
-        )
+        seen = [tables[p // self.PORTS] for p in ports]
+        on, values, rates, curves = np.zeros((4, len(ports), 4))
+        for i, (dofs, (N, N_x, N_xx), (speed, change)) in enumerate(seen):
+            on[i], values[i], rates[i], curves[i] = dofs, N, speed * N_x, speed**2 * N_xx + change * N_x
+        return on.astype(int), values, rates, curves
 
     def port_gram(self, t: float) -> Array:
         """P P^T of the ports; every rank holds all wires."""

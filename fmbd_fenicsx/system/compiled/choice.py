@@ -28,8 +28,6 @@ def use_driver(system: System) -> None:
 
 def driver_states(system: System) -> DriverStates | None:
     """The driver for states of a system, None where NumPy has to evaluate it."""
-    if system.fields and any(part.moves_ports for _, part in system.fields):
-        return None  # of a scheme's steps alone
     library = driver_of(twin_of(system).system)
     if library is None:
         return None

@@ -207,7 +207,8 @@ typedef struct {
     double *X;                         /* nodes x D, at rest */
     double *Q, *port;                  /* H: inertial x n columns of inertia, then the entries of columns of ports */
     int *port_start, *port_on;         /* by columns */
-    double *drift, placed_at;          /* of ports that move along the body: rates of their entries, NULL without; when, s */
+    double *drift, *curve, *moved, placed_at; /* of ports that move along the body: rates of their entries, NULL without; rates of */
+                                       /* these; modes: what these rates have of those of the numbers H^T U; when, s */
     int *M_start, *M_column, *K_start, *K_column; /* by rows of nodes: scalars, D x D blocks */
     double *M, *K;                     /* K without stress */
     NodeMatrix *masses;                /* M of nodes whose numbers are no places, in place of the scalars; NULL without; with */
@@ -237,7 +238,7 @@ typedef struct {
     int *stress_start, *stress_column; /* by rows of nodes: scalars, stresses + bends of each entry; see stiffened.c */
     double *stress, *N;                /* N: modes x bends */
     double *bent, *form;               /* n x (stresses + bends); 3 x (stresses + bends) */
-    double *bias, *pull;               /* modes; work: bends */
+    double *bias, *pull;               /* modes, NULL where second derivatives are those of U alone; work: bends */
     double *held, *second;             /* of the tangent: bends x n, G_r U; TWIST x TWIST of the frame, NULL without stiffening */
     double *one, *first;               /* nodes: M 1; D + D x D: int rho X, int rho X X^T */
     int (*direct)(void *factor, void *rhs, void *solution); /* PETSc's MatSolve: with */

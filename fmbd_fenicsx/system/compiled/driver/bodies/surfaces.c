@@ -111,7 +111,7 @@ static void port_rates(const Surface *k, const Body *body, const double *rates, 
     const Field *e = body->field;
     int m = body->modes;
     for (int j = 0; j < ports_of(k); j++) first[j] = dot((k->bends ? k->now : k->ports) + m * j, rates, m);
-    for (int j = 0; j < ports_of(k); j++) second[j] = e && e->bends ? dot(k->ports + m * j, e->bias, m) : 0.0;
+    for (int j = 0; j < ports_of(k); j++) second[j] = e && e->bias ? dot(k->ports + m * j, e->bias, m) : 0.0;
     for (int r = 0; r < k->bends; r++) {
         double shortened = 0.0;
         for (int i = 0; i < m; i++) shortened += rates[i] * dot(k->G + (r * m + i) * m, rates, m);

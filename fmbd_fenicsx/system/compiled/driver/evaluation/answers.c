@@ -87,8 +87,17 @@ EXPORT int driver_energies(System *s, long count, const double *t, const double 
     return DONE;
 }
 
-/* What surfaces that move in their bodies add to the second derivatives of rows, at constant twists of the bodies. */
-static void biases(const System *s, const Batch *k, double *second)
+/* What the ports of a surface that move along its body add to one number of its twist. */
+static double carried(const System *s, const Surface *o, int i)
+{
+    const Body *body = s->body + o->body;
+    const Field *e = body->field;
+    return e && e->drift ? dot(o->map + i * (TWIST + body->modes) + TWIST, e->moved, body->modes) : 0.0;
+}
+
+/* What surfaces that move in their bodies add to what of the rates of rows depends on time only, and to the second derivatives, at
+   constant twists of the bodies. */
+static void biases(const System *s, const Batch *k, double *partial, double *second)
 {
     const double *out = k->out;
     const int *at = k->at;
@@ -97,7 +106,9 @@ static void biases(const System *s, const Batch *k, double *second)
         for (int e = 0; e < k->live; e++) {
             int on = at[e] - s->nu, surface = on / TWIST;
             if (on < 0 || surface >= s->surfaces) continue; /* the ground is behind all */
-            second[k->row[i]] += k->factor[i] * out[k->entry[e]] * s->surface[surface].bias[on % TWIST];
+            const double share = k->factor[i] * out[k->entry[e]];
+            partial[k->row[i]] += share * carried(s, s->surface + surface, on % TWIST);
+            second[k->row[i]] += share * s->surface[surface].bias[on % TWIST];
         }
 }
 
@@ -115,7 +126,7 @@ void derivatives_in_time(System *s, double *partial, double *second)
             partial[k->row[i]] += k->factor[i] * k->out[2 * i];
             second[k->row[i]] += k->factor[i] * k->out[2 * i + 1];
         }
-        if (k->mapped) biases(s, k, second);
+        if (k->mapped) biases(s, k, partial, second);
     }
 }
 

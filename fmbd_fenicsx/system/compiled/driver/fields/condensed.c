@@ -124,6 +124,8 @@ static void take_residual(const Field *e, int part)
     if (!e->by_component) {
         scaled(e, part, e->of_stiffness, e->wide, x);
         blocks_times(e->nodes, &K, x, x, 0.0, r);
+        for (int i = 0; e->droppers && i < e->droppers->count; i++)
+            if (e->droppers->slack[i]) pull_nodes(e->droppers, i, -e->droppers->stiffness[i] * stretch(e->droppers, i, x), r);
         if (e->pressure) pressure_residual(e->pressure, x, x + e->n, r, r + e->n);
     }
 }

@@ -114,14 +114,20 @@ static double tension(const Droppers *o, int i, double e)
     return o->one_sided[i] && N < 0.0 ? 0.0 : N;
 }
 
+/* F += B^T N of that tension. */
+static void pull_nodes(const Droppers *o, int i, double N, double *F)
+{
+    for (int k = o->start[i]; k < o->start[i + 1]; k++) F[o->on[k]] += N * o->row[k];
+}
+
 /* F += tensions of droppers, less those of taut ones without offset, which K has, damped by beta. */
 static void dropper_forces(Droppers *o, const double *U, const double *Ud, double beta, double *F)
 {
     o->switched = 0;
     for (int i = 0; i < o->count; i++) {
-        const double e = stretch(o, i, U), N = tension(o, i, e), more = N - o->stiffness[i] * (e + beta * stretch(o, i, Ud));
+        const double e = stretch(o, i, U), N = tension(o, i, e);
         o->switched |= (N != o->stiffness[i] * (e + o->offset[i])) != o->slack[i];
-        for (int k = o->start[i]; k < o->start[i + 1]; k++) F[o->on[k]] += more * o->row[k];
+        pull_nodes(o, i, N - o->stiffness[i] * (e + beta * stretch(o, i, Ud)), F);
     }
 }
 

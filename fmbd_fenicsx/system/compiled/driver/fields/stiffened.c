@@ -67,6 +67,21 @@ void field_rates(const Body *o, const double *v)
     shorten(o, -1.0, e->pull, e->rates);
 }
 
+/* What ports that move along the body add to the rates of their numbers, and to the second derivatives. */
+static void carry_ports(const Body *o, const double *U, const double *Ud)
+{
+    const Field *e = o->field;
+    for (int k = e->inertial; k < o->modes; k++) {
+        e->moved[k] = e->bias[k] = 0.0;
+        for (int i = e->port_start[k - e->inertial]; i < e->port_start[k - e->inertial + 1]; i++) {
+            const int at = e->port_on[i];
+            e->moved[k] += e->drift[i] * U[at];
+            e->bias[k] += 2.0 * e->drift[i] * Ud[at] + e->curve[i] * U[at];
+        }
+        e->rates[k] += e->moved[k];
+    }
+}
+
 /* The numbers of the ports, their rates, and what U' alone adds to their second derivatives. */
 void field_columns(const Body *o, const double *q, const double *v)
 {
@@ -74,9 +89,8 @@ void field_columns(const Body *o, const double *q, const double *v)
     for (int k = 0; k < o->modes; k++) {
         e->p[k] = column(e, k, q + o->at_q);
         e->rates[k] = column(e, k, v + o->at_v);
-        for (int i = e->port_start[k - e->inertial]; e->drift && i < e->port_start[k - e->inertial + 1]; i++)
-            e->rates[k] += e->drift[i] * q[o->at_q + e->port_on[i]];
     }
+    if (e->drift) carry_ports(o, q + o->at_q, v + o->at_v);
     if (!stresses(e)) return;
 
     const double *form = e->form + e->stresses;

@@ -165,7 +165,8 @@ static int sample_middle(System *s, const Stages *o, System *by)
 {
     FieldStages *e = o->fields;
     double last = NAN;
-    int verdict = DONE;
+    int verdict = move_ports(by, e->t);
+    if (verdict) return verdict;
     if (s->samples && e->sampled_at != e->t) {
         if ((verdict = sample(s, e->t, &last))) return verdict;
         keep_sample(s, e->sampled, 0);

@@ -129,8 +129,8 @@ static int sample_start(System *s, const Stages *o, double t, System *by)
 {
     const int end = o->points - 1;
     double last = NAN;
-    int verdict;
-    if (!by->samples) return DONE;
+    int verdict = move_ports(by, t);
+    if (verdict || !by->samples) return verdict;
     if (o->t[end] != t) {
         if ((verdict = sample(s, t, &last))) return verdict;
         keep_sample(s, o->sampled + end * sample_size(s), 0);

@@ -232,9 +232,10 @@ EXPORT int driver_points(System *s, long count, const double *t, const double *q
 /* What depends on time only at point j: asked for where Newton's iteration begins, the same for all ``increments`` after. */
 static int sample_point(System *s, const Stages *o, int j, int increments)
 {
-    if (!s->samples) return DONE;
+    int verdict = s->fields ? move_ports(s, o->t[j]) : DONE;
+    if (verdict || !s->samples) return verdict;
     double *kept = o->sampled + j * sample_size(s), last = NAN;
-    int verdict = increments ? DONE : sample(s, o->t[j], &last);
+    verdict = increments ? DONE : sample(s, o->t[j], &last);
     if (!verdict) keep_sample(s, kept, increments);
     return verdict;
 }

@@ -70,7 +70,7 @@ class FieldMatrices:
 
     def take_slack(self, factor: Any) -> None:
         """Springs that a factor leaves out."""
-        if self.part.slack is not None:
+        if self.part.slack is not None and factor is not None:
             self._slack[:] = 0
             self._slack[factor.slack] = 1
 

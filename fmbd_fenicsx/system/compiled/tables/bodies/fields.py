@@ -83,7 +83,7 @@ class FieldTable:
         self.c: Any = None  # the structure
         self.vectors: list[Any] = []  # PETSc's, on b and z
         self.indefinite = False
-        self.moving: tuple[np.ndarray, ...] = ()  # columns of ports that move: places, entries and rates of these
+        self.moving: tuple[np.ndarray, ...] = ()  # columns of ports that move: places, entries and two rates of these
         self.of_tangent: dict[str, Array] = {}  # likewise, what changes with the tangent
         # of the factors in use, which sizes of steps come back to, and other tables
         self._condensed: dict[int, tuple[Array, CondensedColumns]] = system.cache.setdefault(("condensed", k), {})
@@ -318,20 +318,26 @@ class FieldTable:
             array[:] = values.ravel()
 
         k = self.solved
+        if not k:
+            return
         H = np.zeros((self.part.n, k))
         H[on[:k], np.arange(k)[:, None]] = entries[0][:k]
         Y = self.block.factor.solve_columns(H)
         inverse = CondensedColumns(H.T @ Y, self.frame_slots, self.inertial)
-        self.of_tangent["S"][...], self.of_tangent["Y"][...] = inverse.S, Y.T
+        self.of_tangent["S"][...], self.of_tangent["Y"][...] = in_parts(inverse.S), in_parts(Y.T)
 
     def _moving_ports(self) -> dict[str, int | float]:
         """Room for the columns of ports that move; there are no others."""
-        store, (on, values, rates) = self.tables.store, self.part.port_entries(self.ports, 0.0)
-        places, port, drift = store.array(on.ravel(), np.int32), store.array(values.ravel()), store.array(rates.ravel())
-        self.moving = places[0], port[0], drift[0]
+        store, (on, *entries) = self.tables.store, self.part.port_entries(self.ports, 0.0)
+        places, *made = store.array(on.ravel(), np.int32), *(store.array(x.ravel()) for x in entries)
+        self.moving = places[0], *(x for x, _ in made)
+        port, drift, curve = (at for _, at in made)
         start = store.integers(np.arange(len(on) + 1) * on.shape[1])
-        moves = {"drift": drift[1], "placed_at": np.nan} if len(on) else {}
-        return {"port": port[1], "port_on": places[1], "port_start": start, **moves}
+        moves: dict[str, int | float] = {}
+        if len(on):
+            moved, bias = (store.address(np.zeros(self.count)) for _ in range(2))
+            moves = {"drift": drift, "curve": curve, "moved": moved, "bias": bias, "placed_at": np.nan}
+        return {"port": port, "port_on": places[1], "port_start": start, **moves}
 
     def _columns_of_ports(self) -> dict[str, np.ndarray]:
         """The columns of ports, of the body that is not bent."""
