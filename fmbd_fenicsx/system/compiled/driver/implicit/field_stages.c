@@ -223,7 +223,8 @@ static int known_parts(System *s, const Stages *o, int f, double *acts)
         }
 
         if (moves) {
-            if ((verdict = place(s, e->q, kin + part * n))) return verdict;
+            if ((verdict = place(s, e->q, e->v))) return verdict;
+            turn_velocity(s, kin + part * n);
             slips(s, 1); /* rows where derivatives are taken */
             slips(s, 0);
             add(slip, -1.0, s->slip, m);
