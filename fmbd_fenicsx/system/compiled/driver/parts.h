@@ -200,6 +200,7 @@ void drift(System *s);
 int sample(System *s, double t, double *last);
 long sample_size(const System *s);
 void keep_sample(const System *s, double *kept, int back);
+int recall_sample(System *s, double *kept, double t);
 void like_v(const System *s, const double *u, double *x);
 void effort_row(System *s, const Batch *k, long i, double *row);
 int side_row(System *s, const Batch *k, long i, int side, int *body);

@@ -46,7 +46,21 @@ class FieldStates(DriverStates):
 
     def __init__(self, system: System, library: Any) -> None:
         self._factored: dict[int | None, FactoredFieldStates] = {}  # complex ones by their places, None: real
+        self._sliding = [part for _, part in system.fields if part.moves_ports]
+        self._in_use = self._contacts
         super().__init__(system, library)
+
+    @property
+    def _contacts(self) -> list[Any]:
+        """Which of the ports that move are in use."""
+        return [part.in_use for part in self._sliding]
+
+    def ask(self, function: Any, *given: float | None) -> bool:
+        """As :meth:`DriverStates.ask`; contacts that have opened or closed since have other rows."""
+        if self._sliding and self._in_use != self._contacts:
+            self._in_use = self._contacts
+            self.renew()
+        return super().ask(function, *given)
 
     _of_steps: FactoredFieldStates | None = None
 

@@ -18,6 +18,14 @@ void keep_sample(const System *s, double *kept, int back)
         else memcpy(kept, s->timed_at[i], s->timed_size[i] * sizeof(double));
 }
 
+/* What was sampled at t back to where it belongs, and ports that move to where they are then. */
+int recall_sample(System *s, double *kept, double t)
+{
+    int verdict = s->fields ? move_ports(s, t) : DONE;
+    if (!verdict && s->samples) keep_sample(s, kept, 1);
+    return verdict;
+}
+
 /* What depends on time only, at t; ``last``: whose sample stands where it belongs. */
 int sample(System *s, double t, double *last)
 {

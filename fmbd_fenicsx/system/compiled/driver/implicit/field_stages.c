@@ -165,15 +165,13 @@ static int sample_middle(System *s, const Stages *o, System *by)
 {
     FieldStages *e = o->fields;
     double last = NAN;
-    int verdict = move_ports(by, e->t);
-    if (verdict) return verdict;
+    int verdict;
     if (s->samples && e->sampled_at != e->t) {
         if ((verdict = sample(s, e->t, &last))) return verdict;
         keep_sample(s, e->sampled, 0);
         e->sampled_at = e->t;
     }
-    if (by->samples) keep_sample(by, e->sampled, 1);
-    return verdict;
+    return recall_sample(by, e->sampled, e->t);
 }
 
 /* low += the derivative of balance and rows along (0, rate, push). */

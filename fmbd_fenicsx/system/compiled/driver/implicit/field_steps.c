@@ -129,14 +129,12 @@ static int sample_start(System *s, const Stages *o, double t, System *by)
 {
     const int end = o->points - 1;
     double last = NAN;
-    int verdict = move_ports(by, t);
-    if (verdict || !by->samples) return verdict;
-    if (o->t[end] != t) {
+    int verdict;
+    if (by->samples && o->t[end] != t) {
         if ((verdict = sample(s, t, &last))) return verdict;
         keep_sample(s, o->sampled + end * sample_size(s), 0);
     }
-    keep_sample(by, o->sampled + end * sample_size(s), 1);
-    return DONE;
+    return recall_sample(by, o->sampled + end * sample_size(s), t);
 }
 
 /* The start of a step on the constraints, by the matrix of the step before: what moves it (where rows hold ``places``), v and a. */

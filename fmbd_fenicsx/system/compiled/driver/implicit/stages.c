@@ -232,11 +232,10 @@ EXPORT int driver_points(System *s, long count, const double *t, const double *q
 /* What depends on time only at point j: asked for where Newton's iteration begins, the same for all ``increments`` after. */
 static int sample_point(System *s, const Stages *o, int j, int increments)
 {
-    int verdict = s->fields ? move_ports(s, o->t[j]) : DONE;
-    if (verdict || !s->samples) return verdict;
     double *kept = o->sampled + j * sample_size(s), last = NAN;
-    verdict = increments ? DONE : sample(s, o->t[j], &last);
-    if (!verdict) keep_sample(s, kept, increments);
+    if (increments) return recall_sample(s, kept, o->t[j]);
+    int verdict = sample(s, o->t[j], &last);
+    if (!verdict && s->samples) keep_sample(s, kept, 0);
     return verdict;
 }
 

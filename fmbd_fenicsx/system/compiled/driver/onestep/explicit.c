@@ -351,10 +351,9 @@ static int solve_stage(System *s, const Stage *o, double *p, double *a, double *
     if ((verdict = sample_both(s, o->times))) return verdict;
 
     for (int k = 0; k < most; k++) {
-        keep_sample(s, s->sampled[1], 1);
-        verdict = open_rows(s, o, a, speeds, moved, open);
-        keep_sample(s, s->sampled[0], 1);
-        if (verdict) return verdict;
+        if ((verdict = recall_sample(s, s->sampled[1], o->times[1]))) return verdict;
+        if ((verdict = open_rows(s, o, a, speeds, moved, open))) return verdict;
+        if ((verdict = recall_sample(s, s->sampled[0], o->times[0]))) return verdict;
         memcpy(speeds, o->v, s->nv * sizeof(double));
         add(speeds, o->b, a, s->nv);
         const int balanced = k && linear;
