@@ -18,8 +18,10 @@ from fmbd_fenicsx.errors import ConvergenceError
 from fmbd_fenicsx.linear.blocks.low_rank import KEPT, SlackFactor
 from fmbd_fenicsx.materials import linear_elastic
 from fmbd_fenicsx.mechanics.catenary.line_field import LineField
+from fmbd_fenicsx.mechanics.catenary.wires import WiresPart
 from fmbd_fenicsx.run.built import build
 from fmbd_fenicsx.schemes.onestep.alpha.alpha_stepper import AlphaStepper
+from fmbd_fenicsx.system.compiled import choice
 from fmbd_fenicsx.system.layout import State
 
 WIRE = fmbd.Wire(1.35, 20e3, 195.0)
@@ -306,6 +308,48 @@ def test_compiled_steps_of_wires_are_those_of_numpy(case: str, form: Any, monkey
         assert compiled.energy[kind] == pytest.approx(energy, rel=1e-12, abs=1e-10)
     for name in ("force first", "force second"):  # of roundoff of places over the square of a step
         assert compiled[name] == pytest.approx(numpys[name], rel=1e-12, abs=1e-15 * 5.0 / 1e-3**2)
+
+
+@pytest.mark.parametrize(
+    ("scheme", "case", "t_end", "dt"),
+    [
+        (fmbd.Radau(2, rtol=None), "slack", 0.06, 1e-3),
+        (fmbd.Radau(3, rtol=1e-5), "held", 0.1, None),
+        (fmbd.BDF(2, rtol=None), "lost", 0.06, 1e-3),
+        (fmbd.BDF(rtol=1e-4), "held", 0.05, None),
+        (fmbd.Rattle(), "held", 0.01, 1e-4),
+        (fmbd.HalfExplicit(rtol=None), "held", 0.005, 1e-4),
+    ],
+    ids=lambda x: getattr(x, "name", None),
+)
+def test_all_schemes_make_compiled_steps_of_wires(
+    scheme: Any, case: str, t_end: float, dt: float | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Those of NumPy, which is asked for no forces; ports stand at both times of stages, at which explicit schemes look."""
+    asked, force = [0], WiresPart.force
+
+    def counted(self: WiresPart, *given: Any) -> Any:
+        asked[0] += 1
+        return force(self, *given)
+
+    monkeypatch.setattr(WiresPart, "force", counted)
+    same, seen = (
+        (1e-6, slice(None)) if dt else (10 * scheme.rtol, slice(-1, None))
+    )  # own steps end elsewhere on the way
+    scheme = fmbd.Unilateral(scheme) if case == "lost" else scheme
+    runs = []
+    for states in (choice.driver_states, lambda system: None):
+        monkeypatch.setattr(choice, "driver_states", states)
+        asked[0] = 0
+        runs.append(fmbd.solve(sliding(case), t_end=t_end, dt=dt, scheme=scheme))
+        runs[-1].counters["asked"] = asked[0]
+
+    compiled, numpys = runs
+    assert compiled.counters["steps"] == numpys.counters["steps"]
+    assert compiled.counters["asked"] < compiled.counters["steps"] < numpys.counters["asked"]
+    for name in ("w", "droppers", "force first", "force second"):
+        size = np.abs(numpys[name]).max(initial=1e-300)
+        assert np.abs(compiled[name][seen] - numpys[name][seen]).max(initial=0.0) < same * size, name
 
 
 def test_moving_force_on_a_beam_under_tension() -> None:

@@ -329,8 +329,8 @@ class FieldTable:
     def _moving_ports(self) -> dict[str, int | float]:
         """Room for the columns of ports that move; there are no others."""
         store, (on, *entries) = self.tables.store, self.part.port_entries(self.ports, 0.0)
-        places, *made = store.array(on.ravel(), np.int32), *(store.array(x.ravel()) for x in entries)
-        self.moving = places[0], *(x for x, _ in made)
+        places, made = store.array(on.ravel(), np.int32), [store.array(x.ravel()) for x in entries]
+        self.moving = places[0], *[x for x, _ in made]
         port, drift, curve = (at for _, at in made)
         start = store.integers(np.arange(len(on) + 1) * on.shape[1])
         moves: dict[str, int | float] = {}
