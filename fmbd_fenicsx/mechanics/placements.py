@@ -176,7 +176,7 @@ class DistributedPart(Part, Protocol):
         return 0
 
     def port_entries(self, ports: np.ndarray, t: float) -> tuple[np.ndarray, Array, Array, Array]:
-        """Columns of ports that move, (k, m): the coordinates that each has, their entries, and two rates of these, 1/s, 1/s^2."""
+        """Columns of ports that move, (k, m): coordinates that each has, their entries, and two rates of these, 1/s, 1/s^2."""
         none = np.zeros((0, 0))
         return none.astype(int), none, none, none
 
