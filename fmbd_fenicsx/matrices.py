@@ -20,6 +20,15 @@ def dense(A: Any) -> Array:
     return A.toarray() if sp.issparse(A) else np.asarray(A)
 
 
+def added(total: Any, block: Any, row: int, column: int) -> Any:
+    """A matrix with a block added at (row, column) of it, in place where it is dense."""
+    if isinstance(total, np.ndarray):
+        total[row : row + block.shape[0], column : column + block.shape[1]] += dense(block)
+        return total
+    b = sp.coo_matrix(block)
+    return total + sp.csr_matrix((b.data, (b.row + row, b.col + column)), shape=total.shape)
+
+
 def singular_values(A: Array, *, full: bool = True) -> tuple[Array, Array, Array]:
     """U, s, V^T of A; slower where the fast way does not converge. ``full``: U and V are square."""
     try:

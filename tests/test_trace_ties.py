@@ -3,10 +3,12 @@ moving data."""
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from motion import Motion, first, second
+from motion import Motion, beside, elastic_rod, first, second
 from mpi4py import MPI
 from test_traces import ROOT
 
@@ -14,8 +16,10 @@ import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError, LawError
 from fmbd_fenicsx.linear.blocks.field_blocks import Weights
 from fmbd_fenicsx.linear.condensation import StepSolver
+from fmbd_fenicsx.linear.core_matrix import core_matrix
 from fmbd_fenicsx.matrices import WIDE, thin
 from fmbd_fenicsx.mechanics.elastic.field_part import FieldPart
+from fmbd_fenicsx.system.tangents import jacobian
 
 LAW = fmbd.materials.linear_elastic(1e4, 0.3)
 
@@ -62,6 +66,27 @@ def scene_of(dim: int, a: str, b: str, sliding: bool) -> fmbd.Scene:
         )
     )
     return scene
+
+
+@pytest.mark.parametrize("kind", ["rigid", "absolute", "modes"])
+def test_large_matrices_are_sparse_and_the_same(kind: str, rod_mesh: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    def matrices() -> list[Any]:
+        rod = elastic_rod(rod_mesh(dim=2, h=0.5, height=0.4), degree=1, frame=fmbd.Attached("pin"), stiffening=True)
+        if kind == "modes":
+            scene, rod, two = beside(rod.reduced(modes=3), True, 2)
+            scene.add(fmbd.revolute("hinge", rod.surface("tip"), two, center=(1.0, 0.0)))
+        else:
+            scene = scene_of(2, "absolute", kind, sliding=False)
+        ev = Motion(scene).at(0.0)
+        G = ev.jacobian
+        return [core_matrix(ev, Weights(1.0, 0.1, 0.01)), G.core, G.port]
+
+    few = matrices()
+    monkeypatch.setattr(jacobian, "DENSE_LIMIT", 0)
+    monkeypatch.setattr(jacobian, "PORT_LIMIT", 0)
+    for one, many in zip(few, matrices(), strict=True):
+        assert isinstance(one, np.ndarray) and sp.issparse(many)
+        np.testing.assert_allclose(many.toarray(), one, rtol=1e-12, atol=1e-12 * np.abs(one).max(initial=0.0))
 
 
 @pytest.mark.mpi

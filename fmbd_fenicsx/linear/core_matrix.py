@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from ..matrices import added
 from ..mechanics.placements import FrameMotion, Part
 from ..rotations import Array
 from ..system.evaluation import Evaluation
@@ -48,10 +49,7 @@ def core_matrix(ev: Evaluation, w: Weights) -> Any:
         if not part.distributed:
             blocks.append(LocalBlock(k, part, w.cm * coupling, _local(ev, k, motion, mass, w)))
 
-    frames = w.cm * on_frames[:-1]
-    if dense_core(s):
-        return _dense(ev, frames, blocks)
-    return _sparse(ev, frames, blocks)
+    return _assembled(ev, w.cm * on_frames[:-1], blocks)
 
 
 def _local(ev: Evaluation, k: int, motion: FrameMotion, mass: Array, w: Weights) -> Array:
@@ -62,43 +60,25 @@ def _local(ev: Evaluation, k: int, motion: FrameMotion, mass: Array, w: Weights)
     return w.cm * mass + w.cd * C + w.ck * K
 
 
-def _dense(ev: Evaluation, frames: Array, blocks: list[LocalBlock]) -> Array:
+def _assembled(ev: Evaluation, frames: Array, blocks: list[LocalBlock]) -> Any:
     """(1) of the blocks of the frames (n_frames, n_twist, n_twist) and of the parts."""
     s, n = ev.system, ev.system.motions.n_twist
-    out = np.zeros((s.n_core, s.n_core), np.result_type(frames, *[block.local for block in blocks]))
-    view = out[: s.n_frames * n, : s.n_frames * n].reshape(s.n_frames, n, s.n_frames, n)
-    view[range(s.n_frames), :, range(s.n_frames)] = frames
+    shape, kind = (s.n_core, s.n_core), np.result_type(frames, *[block.local for block in blocks])
+    out: Any
+    if dense_core(s):
+        out = np.zeros(shape, kind)
+        view = out[: s.n_frames * n, : s.n_frames * n].reshape(s.n_frames, n, s.n_frames, n)
+        view[range(s.n_frames), :, range(s.n_frames)] = frames
+    else:
+        given = frames, np.arange(s.n_frames), np.arange(s.n_frames + 1)
+        of_frames = sp.bsr_matrix(given, shape=(n * s.n_frames,) * 2)  # there may be no frames
+        out = added(sp.csr_matrix(shape, dtype=kind), of_frames, 0, 0)
 
     for block in blocks:
-        rows = s.slices[1][block.k]
-        out[rows, rows] = block.local
-
+        own, frame = s.slices[1][block.k].start, block.part.frame * n
+        out = added(out, block.local, own, own)
         # parts on the ground have no frame that moves
         if block.part.frame < s.n_frames:
-            frame = slice(block.part.frame * n, (block.part.frame + 1) * n)
-            out[rows, frame] = block.coupling
-            out[frame, rows] = block.coupling.T
+            out = added(out, block.coupling, own, frame)
+            out = added(out, block.coupling.T, frame, own)
     return out
-
-
-def _sparse(ev: Evaluation, frames: Array, blocks: list[LocalBlock]) -> sp.csr_matrix:
-    """The same matrix without its zeros."""
-    s, n = ev.system, ev.system.motions.n_twist
-    given = frames, np.arange(s.n_frames), np.arange(s.n_frames + 1)
-    of_frames = sp.bsr_matrix(given, shape=(n * s.n_frames,) * 2).tocoo()  # there may be no frames
-    rows, columns, values = [of_frames.row], [of_frames.col], [of_frames.data]
-
-    def add(on: np.ndarray, across: np.ndarray, block: Array) -> None:
-        rows.append(np.repeat(on, len(across)))
-        columns.append(np.tile(across, len(on)))
-        values.append(block.ravel())
-
-    for block in blocks:
-        own = np.arange(s.n_core)[s.slices[1][block.k]]
-        add(own, own, block.local)
-        if block.part.frame < s.n_frames:
-            frame = block.part.frame * n + np.arange(n)
-            add(own, frame, block.coupling)
-            add(frame, own, block.coupling.T)
-    at = np.concatenate(rows), np.concatenate(columns)
-    return sp.csr_matrix((np.concatenate(values), at), shape=(s.n_core, s.n_core))

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import scipy.sparse as sp
 
+from ...matrices import added
 from ...rotations import Array
 from ..layout import Layout
 
@@ -142,39 +143,18 @@ class Jacobian:
             if kind == "port":
                 # an elastic side: columns of its ports
                 side = tie.sides[number]
-                first = s.port_slice(side.part).start
-                columns = slice(first + side.ports.start, first + side.ports.stop)
-
-                if isinstance(self.port, np.ndarray):
-                    self.port[rows, columns] += block.toarray()
-                else:
-                    self.port = self.port + _placed(block, rows.start, columns.start, self.port.shape)
-            # a rigid side: columns of its frame
-            elif isinstance(self.core, np.ndarray):
-                self.core[rows, number * n : (number + 1) * n] += block
+                self.port = added(self.port, block, rows.start, s.port_slice(side.part).start + side.ports.start)
             else:
-                at = np.arange(rows.start, rows.stop)
-                i = np.repeat(at, n)
-                j = np.tile(number * n + np.arange(n), len(at))
-                self.core = (self.core + sp.csr_matrix((block.ravel(), (i, j)), shape=self.core.shape)).tocsr()
+                # a rigid side: columns of its frame
+                self.core = added(self.core, block, rows.start, number * n)
 
     def _fold(self) -> None:
         """Ports of replicated parts into the core."""
         s = self.system
         for k, p in s.core_parts:
             matrix = p.port_matrix + self.bent[k].matrix if k in self.bent else p.port_matrix
-            if p.n_port and isinstance(self.core, np.ndarray):
-                if self.core.dtype.kind != "f":  # an empty pattern
-                    self.core = self.core.astype(float)
-                self.core[:, s.slices[1][k]] += self.port[:, s.port_slice(k)] @ matrix
-            elif p.n_port:
-                # columns of this part's coordinates alone
-                wide = sp.csr_matrix(self.port[:, s.port_slice(k)] @ matrix)
-                before = s.slices[1][k].start
-                after = s.n_core - s.slices[1][k].stop
-                left = sp.csr_matrix((s.n_lam, before))
-                right = sp.csr_matrix((s.n_lam, after))
-                self.core = (self.core + sp.hstack([left, wide, right])).tocsr()
+            if p.n_port:
+                self.core = added(self.core, self.port[:, s.port_slice(k)] @ matrix, 0, s.slices[1][k].start)
 
     def times(self, v: Array) -> Array:
         """G v, (n_lam,); collective."""
@@ -204,9 +184,3 @@ class Jacobian:
             if k in self.bent:
                 forces[i] = forces[i] + self.bent[k].force(self.port[:, s.port_slice(k)].T @ lam)
         return np.concatenate((core, *forces))
-
-
-def _placed(block: sp.spmatrix, row: int, column: int, shape: tuple[int, int]) -> sp.csr_matrix:
-    """A matrix of the given shape with ``block`` at (row, column)."""
-    b = block.tocoo()
-    return sp.csr_matrix((b.data, (b.row + row, b.col + column)), shape=shape)
