@@ -10,6 +10,7 @@ import pytest
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError, InputError
+from fmbd_fenicsx.linear.complementarity import delassus
 from fmbd_fenicsx.materials import plane_stress
 
 BLOCK = Path(__file__).resolve().parents[1] / "meshes/block.py"
@@ -176,8 +177,12 @@ def pressed(body: str, push: tuple[float, float]) -> fmbd.Scene:
 
 
 @pytest.mark.mpi
+@pytest.mark.parametrize("stored", [True, False])
 @pytest.mark.parametrize("body", ["AbsoluteBody", "FloatingBody"])
-def test_a_pressed_block_has_uniform_pressure(body: str) -> None:
+def test_a_pressed_block_has_uniform_pressure(body: str, stored: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also with the compliance of many candidates, which is applied and not ``stored``."""
+    if not stored:
+        monkeypatch.setattr(delassus, "MANY", 1)
     assert fmbd.equilibrium(pressed(body, (0.0, -10.0)))["pressure"] == pytest.approx(10.0, rel=1e-9)
 
 
