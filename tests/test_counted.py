@@ -142,6 +142,21 @@ def test_a_sensor_counts_on_the_compiled_path_too(compiled: bool) -> None:
     assert (run.counters.get("compiled_steps", 0) > 0) == compiled
 
 
+@pytest.mark.parametrize("compiled", [True, False])
+def test_rotations_in_the_plane_count_their_turns(compiled: bool) -> None:
+    """Of a body that no joint holds, and of an end of a beam: 20 rad each. A jump by a turn was an error to a search."""
+    scene = fmbd.Scene("free")
+    section = fmbd.Section.rectangle(youngs_modulus=7e10, poisson_ratio=0.3, density=2700.0, width=0.04, height=0.04)
+    disk = fmbd.RigidBody("disk", 1.0, 0.1, (0.0, 5.0), angular_velocity=10.0)
+    beam = fmbd.Beam("beam", (-0.5, 0.0), (0.5, 0.0), section, elements=2, angular_velocity=10.0)
+    scene.add(disk, beam)
+    scene.sensor("disk", fmbd.rotation(disk))
+    scene.sensor("end", fmbd.rotation(beam.surface("end")))
+    run = fmbd.solve(scene, t_end=2.0, dt=0.01, scheme=fmbd.GeneralizedAlpha(0.8, compiled=compiled))
+    assert run["disk"][:, 0] == pytest.approx(10.0 * run.times, abs=1e-9)
+    assert run["end"][:, 0] == pytest.approx(10.0 * run.times, abs=1e-2)
+
+
 @pytest.mark.parametrize("scheme", [fmbd.GeneralizedAlpha(0.8), fmbd.EnergyMomentum()])
 def test_a_surface_without_a_frame_turns_beyond_a_turn(scheme: Any, rod_mesh: Callable[..., Any]) -> None:
     """A rod of an absolute body, turning steadily about its end: 10 rad of the angle of its surface."""

@@ -54,9 +54,7 @@ class CountedAngles:
         m = self.markers
         out = -self.start
         if m.motions.dim == 2:
-            out = out + pose[m.frame, 2]
-            if m.section is not None:
-                out[m.surface[m.section]] += port[m.port[m.section, 2]]
+            out = out + plane_angles(m, pose, port)
         out[self.turn.a] = 0.0
         out[self.turn.b] = theta
         return out
@@ -88,6 +86,16 @@ class CountedAngles:
         if self.free.any():
             attitude = np.where(self.free, theta if surfaces is None else self.turn.attitude(surfaces), attitude)
         return nearest(attitude, theta)
+
+
+def plane_angles(markers: Markers, pose: Array, port: Array) -> Array:
+    """The angle (rad) of each marker in the plane as frames and sections of lines count it, (n,): small rotations of surfaces in
+    their frame are left out.
+    """
+    out = pose[markers.frame, 2]
+    if markers.section is not None:
+        out[markers.surface[markers.section]] += port[markers.port[markers.section, 2]]
+    return np.asarray(out)
 
 
 def turning_freely(markers: Markers, ground: int) -> np.ndarray:

@@ -230,7 +230,7 @@ class Recorded:
         return self._sight(marker, FRAME[self.dim], self.dim)
 
     def angle(self, marker: int) -> Array:
-        """That of a marker in the plane since the start, (k, 1) in (-pi, pi]."""
+        """That of a marker in the plane, counted over revolutions where its frame has one, (k, 1) rad."""
         return self._sight(marker, FRAME[self.dim] + self.dim, 1)
 
     # -- coordinates, elements, joints ------------------------------------------------------------------------------------------

@@ -11,9 +11,10 @@ import numpy as np
 from ...checks import shown, typed, vector
 from ...errors import InputError, near, require
 from ...mechanics.bodies.bodies import RigidBody, Surface
+from ...mechanics.joints.counted import plane_angles
 from ...mechanics.joints.drives import JointCoordinate, coordinates_of
 from ...mechanics.joints.joints import Ground, ground, refuse_no_attachment
-from ...mechanics.joints.relative import RelativeCoordinates
+from ...mechanics.joints.relative import RelativeCoordinates, nearest
 from ...mechanics.joints.sums import Coordinate
 from ...rotations import Array
 from ..compiled.recording import Look, Recorded
@@ -107,12 +108,15 @@ class Acceleration(_Vector):
 
 
 class Rotation(Sensor):
-    """Rotation since the start: the angle (plane, in (-pi, pi]) or the matrix row by row (space)."""
+    """Rotation since the start: the angle (plane) or the matrix row by row (space)."""
 
     def read(self, ev: Evaluation, state: State, marker: int) -> Array:
         """Angle (rad) in the plane, the rotation matrix row by row in space."""
         R = ev.kin.R[marker]
-        return np.array([np.arctan2(R[1, 0], R[0, 0])]) if R.shape[0] == 2 else R.ravel().copy()
+        if R.shape[0] == 3:
+            return np.asarray(R.ravel().copy())
+        counted = plane_angles(ev.system.markers, ev.pose, ev.port)[[marker]]
+        return nearest(np.arctan2(R[1, 0], R[0, 0]), counted)
 
     def looks_at(self, system: Layout, marker: int) -> Look:
         """The marker."""
@@ -351,7 +355,9 @@ def acceleration(on: Any, *, point: Sequence[float] | None = None) -> Sensor:
 
 
 def rotation(on: Any | Surface) -> Sensor:
-    """Rotation of a body or surface since the start: angle (rad) in the plane, matrix (9 numbers) in space."""
+    """Rotation of a body or surface since the start: in the plane the angle (rad), counted over revolutions but for surfaces of
+    bodies without a frame, in space the matrix (9 numbers).
+    """
     refuse_no_attachment(on, "rotation")
     return Rotation(on, "rad")
 

@@ -56,7 +56,7 @@ static void sights(System *s, const Block *now, double *out)
         add(one, 1.0, arm, D);
         add(one + SPEED, 1.0, way, D);
         product(frame + TURN, p + D, one + TURN);
-        if (D == 2 && s->seen_angle[i]) one[ANGLE] = atan2(one[TURN + D], one[TURN]);
+        if (D == 2 && s->seen_angle[i]) one[ANGLE] = nearest_turn(atan2(one[TURN + D], one[TURN]), one[FRAME - 1]);
     }
     if (!s->accelerated) return;
 
