@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -38,6 +38,7 @@ class Kinematics:
     jac_port: Array
     moving: Moving | None = None
     turned: Array | None = None  # (n,) rad: differences of two markers are their counted angle, see joints.counted
+    counts: Callable[[], Array] | None = None  # who tells :attr:`angle`
     evaluated: dict[Any, Array] = field(default_factory=dict, repr=False)  # by kinds of items, see kinds.evaluation
 
     @cached_property
@@ -54,6 +55,11 @@ class Kinematics:
     def twist(self) -> Array | None:
         """x' and angular velocity, (n, d + n_rot); None for a configuration without velocities."""
         return None if self.moving is None else self.moving.twist(self)
+
+    @cached_property
+    def angle(self) -> Array | None:
+        """Angles of R as :meth:`Markers.angles` counts them, (n,) rad; None in space."""
+        return None if self.counts is None else self.counts()
 
     @cached_property
     def bias(self) -> Array | None:
@@ -93,6 +99,11 @@ class SeenKinematics(Kinematics):
     def turned(self) -> Array | None:  # type: ignore[override]
         """Counted angles."""
         return self._rest.turned
+
+    @cached_property
+    def angle(self) -> Array | None:
+        """In the plane."""
+        return self._rest.angle
 
 
 @dataclass(frozen=True)
@@ -226,7 +237,15 @@ class Markers:
         moving = None
         if rates is not None:
             moving = Moving(self, rates[0][self.frame], rates[1][self.port], Rf, local, found)
-        return Kinematics(pose[self.frame, :d] + lever, Rf @ turn, J, jac_port, moving)
+        counts = partial(self.angles, pose, port) if d == 2 else None
+        return Kinematics(pose[self.frame, :d] + lever, Rf @ turn, J, jac_port, moving, counts=counts)
+
+    def angles(self, pose: Array, port: Array) -> Array:
+        """Angles (rad) in the plane as frames and sections of lines count them, (n,); surfaces turn little beside them."""
+        out = np.array(pose[self.frame, 2])
+        if self.section is not None:
+            out[self.surface[self.section]] += port[self.port[self.section, 2]]
+        return out
 
     def rotations(self, rotation: Array, port: Array) -> Array:
         """Rotations R_m of all markers alone, (n, d, d), as :meth:`evaluate`."""

@@ -54,7 +54,7 @@ class CountedAngles:
         m = self.markers
         out = -self.start
         if m.motions.dim == 2:
-            out = out + plane_angles(m, pose, port)
+            out = out + m.angles(pose, port)
         out[self.turn.a] = 0.0
         out[self.turn.b] = theta
         return out
@@ -86,16 +86,6 @@ class CountedAngles:
         if self.free.any():
             attitude = np.where(self.free, theta if surfaces is None else self.turn.attitude(surfaces), attitude)
         return nearest(attitude, theta)
-
-
-def plane_angles(markers: Markers, pose: Array, port: Array) -> Array:
-    """The angle (rad) of each marker in the plane as frames and sections of lines count it, (n,): small rotations of surfaces in
-    their frame are left out.
-    """
-    out = pose[markers.frame, 2]
-    if markers.section is not None:
-        out[markers.surface[markers.section]] += port[markers.port[markers.section, 2]]
-    return np.asarray(out)
 
 
 def turning_freely(markers: Markers, ground: int) -> np.ndarray:

@@ -11,7 +11,6 @@ import numpy as np
 from ...checks import shown, typed, vector
 from ...errors import InputError, near, require
 from ...mechanics.bodies.bodies import RigidBody, Surface
-from ...mechanics.joints.counted import plane_angles
 from ...mechanics.joints.drives import JointCoordinate, coordinates_of
 from ...mechanics.joints.joints import Ground, ground, refuse_no_attachment
 from ...mechanics.joints.relative import RelativeCoordinates, nearest
@@ -115,8 +114,8 @@ class Rotation(Sensor):
         R = ev.kin.R[marker]
         if R.shape[0] == 3:
             return np.asarray(R.ravel().copy())
-        counted = plane_angles(ev.system.markers, ev.pose, ev.port)[[marker]]
-        return nearest(np.arctan2(R[1, 0], R[0, 0]), counted)
+        assert ev.kin.angle is not None
+        return nearest(np.arctan2(R[1, 0], R[0, 0]), ev.kin.angle[[marker]])
 
     def looks_at(self, system: Layout, marker: int) -> Look:
         """The marker."""

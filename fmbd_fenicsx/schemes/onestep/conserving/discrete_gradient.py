@@ -68,6 +68,8 @@ class Mean(Evaluation):
         )
         if old.turned is not None and new.turned is not None:
             kin.turned = 0.5 * (old.turned + new.turned)
+        if known := [x for x in (old.counts, new.counts) if x is not None]:
+            kin.counts = lambda: np.mean([count() for count in known], axis=0)
 
         # exact Jacobians of the means
         markers = self.system.markers

@@ -30,7 +30,7 @@ static void read_all(const System *s)
 
         if (r->what == TURNED_BY) {
             product(frame + TURN, r->turn, R);
-            if (D == 2) *y = atan2(R[2], R[0]);
+            if (D == 2) *y = nearest_turn(atan2(R[2], R[0]), frame[FRAME - 1]);
             else memcpy(y, R, sizeof R);
             continue;
         }
