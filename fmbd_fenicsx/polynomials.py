@@ -28,4 +28,4 @@ def lagrange(nodes: Sequence[Any] | Array, x: Any) -> list[Any]:
 def lagrange_values(nodes: Array, x: Array) -> Array:
     """(1) at places x (n,), (n, k), of nodes (k,), or of each place's own (n, k)."""
     values = lagrange(nodes.T, x)
-    return np.stack([np.broadcast_to(value, x.shape) for value in values], axis=-1)
+    return np.stack(values, axis=-1) if len(values) > 1 else np.ones((*x.shape, 1))

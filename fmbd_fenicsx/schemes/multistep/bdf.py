@@ -329,11 +329,11 @@ class BDFStepper(ImplicitStepper):
         """Numbers, multipliers, how many older values there are, and their t, q, v and multipliers, of what a state keeps; of
         many with these as first axis.
         """
-        width, twin, lead = self.eq.n_mult, self._twin, kept.shape[:-1]
-        head, mult, count, values = np.split(kept, np.cumsum([3, width, 1]), axis=-1)
-        ends = np.cumsum([1, twin.system.n_q, twin.system.n_v])
-        t, q, v, mults = np.split(values.reshape(*lead, self.scheme.order, -1), ends, axis=-1)
-        return head, mult, count, (t[..., 0], twin.places(q), twin.forces(v), mults)
+        twin, at = self._twin, 3 + self.eq.n_mult
+        older = kept[..., at + 1 :].reshape(*kept.shape[:-1], self.scheme.order, -1)
+        q, v = 1 + twin.system.n_q, 1 + twin.system.n_q + twin.system.n_v
+        values = older[..., 0], twin.places(older[..., 1:q]), twin.forces(older[..., q:v]), older[..., v:]
+        return kept[..., :3], kept[..., 3:at], kept[..., at : at + 1], values
 
     # -- states within steps ----------------------------------------------------------------------------------------
     def between(self, t: float) -> State | None:
