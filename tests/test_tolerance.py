@@ -222,6 +222,20 @@ def test_errors_of_the_largest_steps_are_seen() -> None:
     assert true <= 1e-4 * np.ptp(run["pin"], axis=0).max() and 0.9 < run.certificate["pin"].total / true < 3.0
 
 
+def test_a_scheme_is_asked_for_all_it_has_before_a_search_ends() -> None:
+    """Errors as large as the motion tell no rate: a tolerance below roundoff was thought to be needed, and none between tried."""
+
+    def force(q: Any, v: Any, t: float) -> Any:
+        return q - q * q * q - 0.25 * v + 0.4 * np.cos(t)
+
+    body, scene = fmbd.CoordinateBody("x", np.eye(1), force, (1.0,), (0.0,)), fmbd.Scene("chaotic oscillator")
+    scene.add(body)
+    scene.sensor("x", fmbd.coordinates(body))
+    tol = {"x": fmbd.relative(1e-4)}
+    run = fmbd.solve(scene, t_end=100.0, tol=tol, scheme=fmbd.ExplicitRungeKutta(), output=fmbd.Output(progress=False))
+    assert run.history[0].worst > 1e3 and run.history[-1].then == "done"
+
+
 def in_resonance() -> fmbd.Scene:
     """A mass on a spring at 20 rad/s, excited by a force of its own frequency."""
     body = fmbd.RigidBody("mass", 1.0, 1.0, (0.0, 0.0))

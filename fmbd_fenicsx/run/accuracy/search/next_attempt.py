@@ -56,6 +56,7 @@ LEAST_NEWTON = 1e-12  # tolerance of Newton's iteration: roundoff is above small
 SURE = 0.7  # of a tolerance that is thought to be small enough, where a run with it has to be made
 FALLS = 1.1  # ratio by which errors in space have to fall when meshes are refined
 WORTH = 4  # times the fewest steps of runs that tell errors: what is made after a first look
+LAST = 10.0 * FINEST  # tolerance of a scheme of which a run with a tenth tells the error
 MANY = 32  # grains above which numbers of steps are rounded to four
 
 
@@ -211,7 +212,7 @@ def next_plan(
     if run.halved and not changes:
         finer = _as_half_tells(plan, run, tol, finer)
     made = replace(made, scheme=finer.scheme, schedule=max(made.schedule, finer.schedule, key=lambda x: x.steps))
-    if not made.steps and made.scheme.rtol <= FINEST:
+    if not made.steps and made.scheme.rtol >= plan.scheme.rtol:
         return None, "the scheme's tolerance is at roundoff"
     if not made.steps and seen_by_ends(run.system):  # which its tolerance does not choose
         made = replace(
@@ -420,7 +421,8 @@ def _whole_run(plan: AttemptPlan) -> AttemptPlan:
 def finer_steps(plan: AttemptPlan, factor: float) -> AttemptPlan:
     """Smaller steps by a factor below one, rounded to whole grains; or a smaller tolerance of the scheme."""
     if not plan.steps:
-        return replace(plan, scheme=replace(plan.scheme, rtol=max(plan.scheme.rtol * factor, FINEST)))
+        rtol = min(max(plan.scheme.rtol * factor, LAST), plan.scheme.rtol)
+        return replace(plan, scheme=replace(plan.scheme, rtol=rtol))
     wanted = plan.steps / factor
     grain = plan.grain if wanted < MANY * plan.grain else 4 * plan.grain
     steps = int(np.ceil(wanted / grain - 1e-9)) * grain
