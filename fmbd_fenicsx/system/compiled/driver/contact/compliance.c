@@ -63,8 +63,8 @@ static void own_compliance(System *s, Contacts *c, int m)
 /* The blocks of a group on each other. */
 static void know_group(Contacts *c, int g)
 {
+    if (c->known_of[g]) return; /* as of problems of their own, which have no graph */
     const int d = c->components, from = c->graph.group[g], to = c->graph.group[g + 1];
-    if (c->known_of[g]) return;
     c->known_of[g] = 1;
     for (int i = from; i < to; i++)
         for (int e = c->all.first[i]; e < c->all.first[i + 1]; e++)
