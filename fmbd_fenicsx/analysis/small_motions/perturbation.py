@@ -112,10 +112,6 @@ class Perturbation:
     def _balance(self) -> Array:
         return self.here.balance(self.state.a, self.state.lam)
 
-    def residual(self) -> Array:
-        """What is left of the balance at the state, like v: zero in a steady motion."""
-        return self._balance - self._pushed(self.state.q)
-
     def _pushed(self, q: Array) -> Array | float:
         """Forces of closed contacts, which stay as they are and turn with their surfaces; like v."""
         return 0.0 if self.closed is None else self.closed.pushed(q)

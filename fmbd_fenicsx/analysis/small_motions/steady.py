@@ -114,19 +114,6 @@ class BodySpin:
         """The configuration with these bodies turned by an angle, rad."""
         return np.asarray(system.compose(q, self._turns(system, angle)))
 
-    def carried(self, system: System, y: Array, angle: float) -> Array:
-        """A motion or force like v, the rotations of these bodies told in axes that have been turned by an angle."""
-        m = system.motions
-        if m.dim == 2:
-            return y
-        out = y.copy()
-        turns = out[: system.n_frames * m.n_twist].reshape(-1, m.n_twist)[:, m.dim :]
-        for i, n in zip(self.frames, self.axes, strict=True):
-            x = turns[i]
-            along = (n @ x) * n
-            turns[i] = along + np.cos(angle) * (x - along) - np.sin(angle) * np.cross(n, x)
-        return out
-
     def _turns(self, system: System, amount: float) -> Array:
         """An array like v with rotations by ``amount`` about the axes."""
         m = system.motions

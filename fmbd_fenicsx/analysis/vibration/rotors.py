@@ -30,12 +30,13 @@ def check_round(about: Perturbation, spin: BodySpin) -> None:
 
     none = np.zeros(system.n_lam)
     before = Perturbation(system, State(s.t, s.q, s.v, s.a, none))
-    after = Perturbation(system, State(s.t, spin.turned(system, s.q, ANGLE), s.v, s.a, none))
+    later = spin.turned(system, s.q, ANGLE)
+    after = Perturbation(system, State(s.t, later, s.v, s.a, none))
     y = random_motion(about, 0)
-    turned = spin.carried(system, y, ANGLE)
+    turned = _told_in(system, y, s.q, later)
 
     for name in ("mass", "damping", "stiffness"):
-        force = spin.carried(system, _product(before, name, y), ANGLE)
+        force = _told_in(system, _product(before, name, y), s.q, later)
         change = system.max_abs(_product(after, name, turned) - force)
         if change > ROUND * system.max_abs(force):
             raise InputError(

@@ -92,11 +92,6 @@ class Pair:
         """Those of its candidates that are ``near``, (m,) bool."""
         return SomeRows(self, near)
 
-    @property
-    def weight(self) -> Array:
-        """Dual weights D of the candidates, 1 on rigid points, (m,)."""
-        return np.ones(self.count) if self.slave.surface is None else self.slave.surface.weights
-
     def pressures(self, force: Array) -> Array:
         """Pressures (N/m^(d-1), N on rigid points) of normal forces (.., m) in N on the candidates; see :mod:`.trace`."""
         surface = self.slave.surface
