@@ -93,17 +93,7 @@ def traction(surface: str, value: Sequence[float], *, time: Time = steady, follo
         time: factor over time (s); by default the full load from the start. Jumps need small steps.
         follower: the force turns with the body's frame, ``value`` in its axes; with an energy, with the material it acts on.
     """
-    vector("traction: value", value)
-
-    def form(v: Any, dx: Any, ds: Any) -> Any:
-        import ufl
-
-        return ufl.inner(_constant(vector("traction: value", value, size=v.ufl_shape[0]), dx), v) * ds(surface)
-
-    def deformed(u: Any, v: Any, dx: Any, ds: Any) -> Any:
-        return _carried(value, u, v, dx) * ds(surface)
-
-    return Load(form, time, follower, deformed=deformed if follower else None, surface=surface, value=value)
+    return _uniform("traction", value, time, follower, surface)
 
 
 @typed
@@ -115,17 +105,23 @@ def body_force(value: Sequence[float], *, time: Time = steady, follower: bool = 
         time: factor over time (s); by default the full load from the start.
         follower: the force turns with the body's frame, ``value`` in its axes; with an energy, with the material it acts on.
     """
-    vector("body_force: value", value)
+    return _uniform("body_force", value, time, follower)
+
+
+def _uniform(what: str, value: Sequence[float], time: Time, follower: bool, surface: str | None = None) -> Load:
+    """f . v integrated over a surface, None: over the body, for one f = time(t) value."""
+    vector(f"{what}: value", value)
 
     def form(v: Any, dx: Any, ds: Any) -> Any:
         import ufl
 
-        return ufl.inner(_constant(vector("body_force: value", value, size=v.ufl_shape[0]), dx), v) * dx
+        f = _constant(vector(f"{what}: value", value, size=v.ufl_shape[0]), dx)
+        return ufl.inner(f, v) * (dx if surface is None else ds(surface))
 
     def deformed(u: Any, v: Any, dx: Any, ds: Any) -> Any:
-        return _carried(value, u, v, dx) * dx
+        return _carried(value, u, v, dx) * (dx if surface is None else ds(surface))
 
-    return Load(form, time, follower, deformed=deformed if follower else None, value=value)
+    return Load(form, time, follower, deformed=deformed if follower else None, surface=surface, value=value)
 
 
 @typed

@@ -11,12 +11,17 @@ from ..system.system import System
 NEARER = 0.618 ** np.arange(40.0)  # of a span, where drives are looked at
 
 
-def openings(system: System, state: State, times: Array) -> Array:
-    """By how much constraints of a state that is held open from now until each of some times (k,) (s), m; collective."""
+def opened(system: System, state: State, times: Array) -> Array:
+    """By how much constraints of a state that is held open from now until each of some times (k,) (s), (k, n_lam); collective."""
     held = [np.tile(x, (len(times) + 1, 1)) for x in (state.q, state.v)]
     now, *later = system.batch(np.append(state.t, times), *held).constraint()
-    opened: Array = np.abs(system.row_units * (np.array(later) - now)).max(axis=1, initial=0.0)
-    return opened
+    return np.array(later) - now
+
+
+def openings(system: System, state: State, times: Array) -> Array:
+    """The largest of these, (k,) m."""
+    largest: Array = np.abs(system.row_units * opened(system, state, times)).max(axis=1, initial=0.0)
+    return largest
 
 
 def time_for_way(system: System, state: State, span: float, way: float) -> float:

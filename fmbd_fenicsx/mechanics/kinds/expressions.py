@@ -22,8 +22,8 @@ import numpy as np
 _NODES: dict[tuple[Any, ...], Expression] = {}
 
 
-def _of_scalars(made: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
-    """What an operator makes of two expressions; with an array NumPy takes it entry by entry."""
+def of_scalars(made: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+    """An operator of two scalars; with an array NumPy takes it entry by entry."""
 
     def asked(x: Any, y: Any) -> Any:
         return NotImplemented if isinstance(y, np.ndarray) and y.ndim else made(x, y)
@@ -39,30 +39,30 @@ class Expression:
     def __init__(self, operation: str, arguments: tuple[Any, ...], number: int) -> None:
         self.operation, self.arguments, self.number = operation, arguments, number
 
-    @_of_scalars
+    @of_scalars
     def __add__(self, other: Any) -> Expression:
         return _sum(self, as_expression(other))
 
-    @_of_scalars
+    @of_scalars
     def __mul__(self, other: Any) -> Expression:
         return _product(self, as_expression(other))
 
-    @_of_scalars
+    @of_scalars
     def __truediv__(self, other: Any) -> Expression:
         return _quotient(self, as_expression(other))
 
     def __neg__(self) -> Expression:
         return _negative(self)
 
-    @_of_scalars
+    @of_scalars
     def __sub__(self, other: Any) -> Expression:
         return _sum(self, _negative(as_expression(other)))
 
-    @_of_scalars
+    @of_scalars
     def __rsub__(self, other: Any) -> Expression:
         return _sum(as_expression(other), _negative(self))
 
-    @_of_scalars
+    @of_scalars
     def __rtruediv__(self, other: Any) -> Expression:
         return _quotient(as_expression(other), self)
 

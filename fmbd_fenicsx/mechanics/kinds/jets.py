@@ -11,14 +11,7 @@ from typing import Any
 
 import numpy as np
 
-
-def _of_numbers(operator: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
-    """An operator of two numbers; with an array NumPy takes it entry by entry."""
-
-    def asked(x: Any, y: Any) -> Any:
-        return NotImplemented if isinstance(y, np.ndarray) else operator(x, y)
-
-    return asked
+from .expressions import of_scalars
 
 
 class Jet:
@@ -34,14 +27,14 @@ class Jet:
         return Jet(f, df * self.first, ddf * self.first**2 + df * self.second)
 
     # -- arithmetic -----------------------------------------------------------------------------------------------
-    @_of_numbers
+    @of_scalars
     def __add__(self, other: Any) -> Jet:
         if type(other) is float:
             return Jet(self.value + other, self.first, self.second)
         y = jet(other)
         return Jet(self.value + y.value, self.first + y.first, self.second + y.second)
 
-    @_of_numbers
+    @of_scalars
     def __mul__(self, other: Any) -> Jet:
         if type(other) is float:
             return Jet(self.value * other, self.first * other, self.second * other)
@@ -49,7 +42,7 @@ class Jet:
         mixed = x.second * y.value + 2 * x.first * y.first + x.value * y.second
         return Jet(x.value * y.value, x.first * y.value + x.value * y.first, mixed)
 
-    @_of_numbers
+    @of_scalars
     def __pow__(self, power: Any) -> Jet:
         if isinstance(power, Jet):
             return _unary("exp", power * _unary("log", self))
@@ -60,26 +53,26 @@ class Jet:
     def __rpow__(self, base: Any) -> Jet:
         return _unary("exp", self * math.log(base))
 
-    @_of_numbers
+    @of_scalars
     def __truediv__(self, other: Any) -> Jet:
         return self * (1.0 / other if type(other) is float and other else jet(other) ** -1.0)
 
-    @_of_numbers
+    @of_scalars
     def __rtruediv__(self, other: Any) -> Jet:
         return self**-1.0 * other
 
-    @_of_numbers
+    @of_scalars
     def __mod__(self, other: Any) -> Jet:
         return Jet(self.value % float(other), self.first, self.second)
 
     def __neg__(self) -> Jet:
         return Jet(-self.value, -self.first, -self.second)
 
-    @_of_numbers
+    @of_scalars
     def __sub__(self, other: Any) -> Jet:
         return self + -jet(other)
 
-    @_of_numbers
+    @of_scalars
     def __rsub__(self, other: Any) -> Jet:
         return -self + other
 
@@ -89,19 +82,19 @@ class Jet:
     __radd__, __rmul__ = __add__, __mul__
 
     # -- comparisons, by the value --------------------------------------------------------------------------------
-    @_of_numbers
+    @of_scalars
     def __lt__(self, other: Any) -> bool:
         return self.value < jet(other).value
 
-    @_of_numbers
+    @of_scalars
     def __le__(self, other: Any) -> bool:
         return self.value <= jet(other).value
 
-    @_of_numbers
+    @of_scalars
     def __gt__(self, other: Any) -> bool:
         return self.value > jet(other).value
 
-    @_of_numbers
+    @of_scalars
     def __ge__(self, other: Any) -> bool:
         return self.value >= jet(other).value
 

@@ -21,7 +21,7 @@ turns them by a radian, the step is not tried: Newton's iteration for a weight t
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -31,6 +31,7 @@ from ....rotations import Array
 from ....system.layout import State
 from ....system.system import System
 from ...error_norm import NormOfWays
+from ...prescribed_ways import opened
 
 LOOKS = (0.118, 0.236, 0.382, 0.5, 0.618, 0.764, 0.882)  # where in a step loads and drives are looked at
 # where else drives are, whose steps may have to be much smaller: a few in a decade
@@ -77,10 +78,8 @@ class LookAhead:
         return int(np.ceil(shares[moved.argmax()])) - 1 if moved.any() else steps
 
     def _driven(self, s: State, ways: Array) -> Array:
-        """By how much constraints open in times (s) from now, the state held, (n, n_lam)."""
-        held = [np.tile(x, (1 + len(ways), 1)) for x in (s.q, np.zeros_like(s.v))]
-        now, *later = self.system.batch(s.t + np.concatenate(([0.0], ways)), *held).constraint()
-        return np.array(later) - now
+        """By how much constraints open in times (s) from now, the places held, (n, n_lam)."""
+        return opened(self.system, replace(s, v=np.zeros_like(s.v)), s.t + ways)
 
     def loads(self, s: State, h: float, steps: int = 1) -> float:
         """The norm of (1) for the worst of so many steps of size h (s), or the way of (3) over the length of the model where that
