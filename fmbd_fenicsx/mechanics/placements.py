@@ -219,6 +219,11 @@ class DistributedPart(Part, Protocol):
         """
         return False
 
+    @property
+    def stiffens(self) -> bool:
+        """Whether the stress of accelerations changes the stiffness."""
+        return False
+
     def relinearise(
         self, motion: FrameMotion, local: tuple[Array, Array, Array], increment: Approach | None = None
     ) -> bool:

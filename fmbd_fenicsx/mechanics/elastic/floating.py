@@ -188,6 +188,11 @@ class FloatingField(FieldPart):
         return self._columns_taken
 
     @property
+    def stiffens(self) -> bool:
+        """Whether it has geometric stiffening."""
+        return self.stiffening is not None
+
+    @property
     def renewable(self) -> bool:
         """Always: columns of inertia are taken anew."""
         return True

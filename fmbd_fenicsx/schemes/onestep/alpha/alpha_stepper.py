@@ -39,7 +39,7 @@ from ...dense_output import cubic, place_within, state_within
 from ...newton import Newton, crushed, grew, not_converged, strayed
 from ...stepping import Observers, TimeStepper
 from .alpha_step import PATIENCE, AlphaStep, Rule, StepStart
-from .damped_start import LEAST, LEFT, LEFT_BEHIND, MOST, damped_acceleration, on_constraints, stages
+from .damped_start import LEAST, LEFT, LEFT_BEHIND, MOST, damped_acceleration, eased, on_constraints, stages
 from .jerk import jerk, spin_of_acceleration
 
 if TYPE_CHECKING:
@@ -149,6 +149,7 @@ class AlphaStepper(TimeStepper):
         system, s, h = self.system, self.state, rule.h
         ahead = rule.alpha_m - rule.alpha_f
         ev = self.system.at(s.t, s.q, s.v)
+        s = eased(ev, s, self.solver, rule) if system.fields else s
         rate, lam_rate, volume = jerk(ev, s, self.solver, rule.weights, h)
         if self.damped:
             self.solver.elastic.keep(1)  # the matrix of the steps that come
@@ -274,7 +275,7 @@ class AlphaStepper(TimeStepper):
 
     def _accept(self, step: AlphaStep) -> State:
         """The end of a step becomes the state."""
-        s = self.state
+        s = step.start.state
         h = step.rule.h
         A = step.end.A
         self.local_error = self._indicator(step)

@@ -42,7 +42,7 @@ class CompiledAlphaStepper(CompiledSteps, AlphaStepper):
         self._tail: State | None = None  # the state of the newest block
         self._driven = False  # the driver made the last step, and has its factor
         self._ahead = False  # blocks are newer than A and the past of the NumPy path
-        self._foretold: tuple[float, StepStart] | None = None  # the first step of a size, s
+        self._foretold: tuple[float, State, StepStart] | None = None  # the first step of a size (s) from a state
         super().__init__(*data)
         self.counters["compiled_steps"] = 0.0
         if driver is not None:
@@ -186,13 +186,13 @@ class CompiledAlphaStepper(CompiledSteps, AlphaStepper):
     def _first(self, rule: Rule) -> StepStart:
         """As :meth:`Stepper._first`, found once for a step that the driver gives back."""
         known = self._foretold
-        if known is None or known[0] != rule.h or known[1].state is not self.state:
-            self._foretold = known = rule.h, super()._first(rule)
-        return known[1]
+        if known is None or known[0] != rule.h or known[1] is not self.state:
+            self._foretold = known = rule.h, self.state, super()._first(rule)
+        return known[2]
 
     def _first_march(self, h: float, observers: Observers = UNOBSERVED) -> int:
         """The first step after a consistent start, as :meth:`Stepper._first` prepares it; 1, or 0 where it fails."""
-        s, rule = self.state, self.scheme.rule(h)
+        rule = self.scheme.rule(h)
         if self.damps and self._damped(rule) is not None:
             return 0
         try:
@@ -203,6 +203,7 @@ class CompiledAlphaStepper(CompiledSteps, AlphaStepper):
             return 0
 
         # the predictor of the driver is a line through two states: one before the start that leads to what was predicted
+        s = start.state
         place = np.zeros(self.system.n_q)
         zero = np.zeros(self.system.n_v)
         before = (s.t - h, place, zero, 2 * s.a - start.a, zero, 2 * s.lam - start.lam)

@@ -28,6 +28,14 @@ velocities and places, and a_0 takes no part. Both stages are steps of generaliz
 (3) with A_0 = 0, beta = gamma = 1 and the size g h, (4) with A_0 = A_1, gamma = g, beta = g^2. A stage's acceleration misses the
 constraints on accelerations by O(h); the end gets one more increment with its matrix, by which it and lambda are of second order.
 
+The stress that stiffens a body follows its accelerations, those of nodes under a sudden force, too, which a step far longer than
+waves take from node to node does not resolve. Steps of such bodies begin with
+
+    a = a_0 - T^2 e,    T e = e - x,    S x + G^T mu = M e,    G x = G e,                                             (5)
+
+e: a_0 of their nodes, 0 elsewhere, where x^T M e < 0.3 e^T M e. That is a_0 (1 - (ck w^2 / (1 + ck w^2))^2) in each mode, all of
+it but O(h^4 w^4) where h resolves w; joints and the momentum see no change.
+
 Source: Alexander, doi:10.1137/0714068.
 """
 
@@ -97,6 +105,27 @@ def damped_acceleration(
         if not rest < left * size or w.ck * rest <= nothing:
             return None
     return a
+
+
+def eased(ev: Evaluation, start: State, solver: StepSolver, rule: Rule) -> State:
+    """A start, evaluated as ``ev``, with the a of (5); itself where steps resolve those of bodies that stiffen. Collective."""
+    system = solver.system
+    nodes = [system.slices[1][k] for k, part in system.fields if part.stiffens]
+    if not nodes:
+        return start
+    solver.prepare(ev, rule.weights)
+    rest, e = ev.balance(np.zeros_like(start.a), start.lam), np.zeros_like(start.a)
+    for own in nodes:
+        e[own] = start.a[own]
+
+    def resolved(a: Array) -> tuple[Array, Array]:
+        push = ev.balance(a, start.lam) - rest
+        return solver.solve(push, ev.jacobian.times(a))[0], push
+
+    x, push = resolved(e)
+    if system.dot(x, push) >= LEFT * system.dot(e, push):
+        return start
+    return replace(start, a=start.a - (e - x - resolved(e - x)[0]))
 
 
 def on_constraints(end: State, solver: StepSolver, rule: Rule) -> State:
