@@ -18,12 +18,11 @@ from ..system.compiled.states.evaluation import DriverStates
 from ..system.compiled.states.explicit import ExplicitStates, Found, Stage
 from ..system.compiled.states.field_states import FactoredFieldStates, FieldStates
 from ..system.compiled.states.means import MeanStates
-from ..system.dependence import rows_are_independent
 from ..system.evaluation import Evaluation
 from ..system.layout import State, States
 from ..system.system import System
 from .blocks.field_blocks import FactoredField, FieldBlocks, Weights
-from .configuration_warnings import note_independent_rows
+from .configuration_warnings import dependent_rows, note_independent_rows
 from .core import CoreSolver
 
 MASSES = Weights(1.0, 0.0, 0.0)
@@ -82,7 +81,7 @@ class DriverSolver:
             factored = not self.core.redundant and factor.prepare(ev, 0.0, 0.0)
             while not (factored or self.core.redundant) and self.states.unlock():
                 factored = factor.prepare(ev, 0.0, 0.0)
-            self.usable = factored and (factor.independent() or rows_are_independent(ev))
+            self.usable = factored and (factor.independent() or not dependent_rows(ev)[1])
             if self.usable:
                 note_independent_rows(ev)
 
