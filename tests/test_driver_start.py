@@ -104,6 +104,38 @@ def test_dependent_rows_are_found_by_numpy_and_solved_by_the_driver(dim: int) ->
     assert solver.driver is not None and solver.driver.ready and solver.core.redundant
 
 
+def scissors(crosses: int) -> fmbd.Scene:
+    """A lift of crossed bars on a spring: the higher, the nearer its rows are to dependent."""
+    scene, below = fmbd.Scene("lift", gravity=(0, -9.81)), (fmbd.ground, None)
+    for i in range(crosses):
+        y = 0.2 * i
+        rising, falling = (fmbd.RigidBody(f"{k} {i}", 1.0, 0.01, (0.15, y + 0.1)) for k in ("rising", "falling"))
+        scene.add(rising, falling, fmbd.revolute(f"pin {i}", rising, falling, center=(0.15, y + 0.1)))
+        for k, (end, bar, x) in enumerate(zip(below, (rising, falling), (0.0, 0.3), strict=True)):
+            if end is not None:
+                scene.add(fmbd.revolute(f"hinge {i} {k}", end, bar, center=(x, y)))
+        below = (falling, rising)
+    scene.add(fmbd.Spring("spring", fmbd.ground, scene.bodies["falling 0"], (0.0, 0.0), (0.3, 0.0), stiffness=3e3))
+    return scene
+
+
+@compiled
+def test_rows_of_tall_lifts_are_near_to_dependent_and_solved_by_the_driver() -> None:
+    """Neither factor tells it with certainty; a closer look does, once."""
+    states, _, driver = both(scissors(300))
+    states.system.evaluate_by(states)
+    solver = StepSolver(states.system)
+    solver.prepare(driver, MASSES)
+    assert solver.driver is not None and solver.driver.ready and not solver.core.redundant
+    assert not states.factor.independent()
+
+    b, c = np.random.default_rng(9).standard_normal((2, states.system.n_v))
+    c, J = c[: states.system.n_lam], driver.jacobian.core
+    x, y = solver.solve(b, c)
+    left = core_matrix(driver, MASSES) @ x + J.T @ y - b
+    assert np.abs(left).max() < 1e-12 * np.abs(y).max() and np.abs(J @ x - c).max() < 1e-10 * np.abs(x).max()
+
+
 def at_once(scene: fmbd.Scene, beside: float = 0.0) -> tuple[Any, State]:
     """a and lambda of the start in one call of the driver, once NumPy has seen that rows depend; and by NumPy.
 
