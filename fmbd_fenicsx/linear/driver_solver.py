@@ -1,7 +1,7 @@
 """Solutions by the driver: the matrix of a state that it evaluated is factored and solved there, and not in NumPy.
 
-Only where the rows do not depend on each other, which the first factor tells or a closer look, or where that has found that they do:
-multipliers are the smallest then.
+Only where the rows do not depend on each other, which the first factor tells or a closer look, or where that has found that
+they do: multipliers are the smallest then.
 """
 
 from __future__ import annotations
