@@ -146,15 +146,16 @@ def _smallest(G: Any) -> Dependence:
     iterations with G G^T leave, which the roundoff of squares does not reach.
     """
     m, count = G.shape[0], FEW_ROWS // 8
-    if m > FEW_ROWS:
-        G = sp.csr_array(G)
-        solve, largest = _gram(G, ROUNDOFF)
-        assert solve is not None
-        V = np.random.default_rng(0).normal(size=(m, count))
-        # trace of the part of the identity that solutions are made of, which counts values of roundoff
-        count += int(1.2 * ROUNDOFF * largest * np.vdot(V, solve(V)) / count)
+    if m <= FEW_ROWS:
+        return _found_on(G, np.eye(m))
+    G = sp.csr_array(G)
+    solve, largest = _gram(G, ROUNDOFF)
+    assert solve is not None
+    V = np.random.default_rng(0).normal(size=(m, count))
+    # trace of the part of the identity that solutions are made of, which counts values of roundoff
+    count += int(1.2 * ROUNDOFF * largest * np.vdot(V, solve(V)) / count)
 
-    while m > max(FEW_ROWS, 2 * count):
+    while 2 * count < m:
         V = np.random.default_rng(0).normal(size=(m, count))
         for _ in range(INVERSE_ITERATIONS):
             V = np.linalg.qr(solve(V))[0]
