@@ -245,6 +245,8 @@ def test_section_of_a_shape():
     square = fmbd.RodSection.rectangle(youngs_modulus=2.6, poisson_ratio=0.3, density=1.0, width=1.0, height=1.0)
     assert np.asarray(square.stiffness)[3] == pytest.approx(0.140577, rel=1e-4)
     flat = fmbd.RodSection.rectangle(youngs_modulus=1.0, poisson_ratio=0.0, density=3.0, width=2.0, height=1.0)
+    with pytest.raises(InputError, match="RodSection.rectangle: width -2.0 must be a positive number"):
+        fmbd.RodSection.rectangle(youngs_modulus=1.0, poisson_ratio=0.0, density=3.0, width=-2.0, height=1.0)
     np.testing.assert_allclose(np.asarray(flat.stiffness)[[0, 1, 4, 5]], (2.0, 5 / 6, 2 / 12, 8 / 12))
     np.testing.assert_allclose(flat.inertias(np.zeros(1))[0], np.diag([2.5, 0.5, 2.0]))
 

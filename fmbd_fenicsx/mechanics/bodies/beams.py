@@ -26,8 +26,8 @@ from ...checks import check_fields, number, typed, vector, whole
 from ...errors import InputError, near, require
 from ...rotations import Array
 from ..body import MODES, Body, Placed, Site
+from ..cross_sections import Shape, rectangle, ring, shear_modulus
 from ..reduction.reduced import ReducedConstants, placed_modes
-from ..torsion import ring, torsion_of_rectangle
 from .beam_elements import BeamElements
 from .bodies import RigidBody, Surface
 
@@ -69,11 +69,8 @@ class Section:
         cls, *, youngs_modulus: float, poisson_ratio: float, density: float, width: float, height: float
     ) -> Section:
         """A solid rectangle: ``height`` along y, ``width`` along z (m); shear factor 5/6, torsion constant to 0.1 %."""
-        for name, value in {"width": width, "height": height}.items():
-            number(f"Section.rectangle: {name}", value, above=0.0)
-        A, J = width * height, torsion_of_rectangle(width, height)
-        shape = A, width * height**3 / 12, height * width**3 / 12, J, 5 / 6
-        return cls._of("rectangle", shape, youngs_modulus, poisson_ratio, density)
+        what = "Section.rectangle"
+        return cls._of(what, rectangle(what, width, height), youngs_modulus, poisson_ratio, density)
 
     @classmethod
     @typed
@@ -81,19 +78,13 @@ class Section:
         cls, *, youngs_modulus: float, poisson_ratio: float, density: float, radius: float, inner: float = 0.0
     ) -> Section:
         """A disc, or a ring with the radius ``inner`` (m); shear factor of Cowper, :func:`.ring`."""
-        A, moment, factor = ring(radius, inner, poisson_ratio)
-        shape = A, moment, moment, 2 * moment, factor
-        return cls._of("circle", shape, youngs_modulus, poisson_ratio, density)
+        return cls._of("Section.circle", ring(radius, inner, poisson_ratio), youngs_modulus, poisson_ratio, density)
 
     @classmethod
-    def _of(cls, which: str, shape: Sequence[float], E: float, nu: float, density: float) -> Section:
-        """From area, second moments about z and y, torsion constant and shear factor, and the material."""
-        for name, value in {"youngs_modulus": E, "density": density}.items():
-            number(f"Section.{which}: {name}", value, above=0.0)
-        number(f"Section.{which}: poisson_ratio", nu, above=-1.0)
-        require(nu <= 0.5, f"Section.{which}: poisson_ratio {nu} must lie in (-1, 0.5].")
+    def _of(cls, what: str, shape: Shape, E: float, nu: float, density: float) -> Section:
+        """From a shape with the second moments about z and y, and the material."""
         A, Iz, Iy, J, factor = shape
-        G = E / (2 * (1 + nu))
+        G = shear_modulus(what, E, nu, density)
         return cls(E * A, E * Iz, density * A, density * Iz, factor * G * A, E * Iy, G * J, density * Iy)
 
 

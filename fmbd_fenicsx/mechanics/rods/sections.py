@@ -15,7 +15,7 @@ import numpy as np
 from ...checks import check_fields, number, typed
 from ...errors import CallbackError, InputError, require
 from ...rotations import Array
-from ..torsion import ring, torsion_of_rectangle
+from ..cross_sections import Shape, rectangle, ring, shear_modulus
 from .relaxation import Arms
 
 
@@ -63,13 +63,11 @@ class RodSection:
 
         Shear factors 5/6; torsion constant by the series of Saint-Venant, to 1e-4.
         """
-        A = width * height
-        I2 = width * height**3 / 12
-        I3 = height * width**3 / 12
-        J = torsion_of_rectangle(width, height)
+        what = "RodSection.rectangle"
+        shape = rectangle(what, width, height)
         # what pictures show
         corners = 0.5 * np.array([[-width, -height], [width, -height], [width, height], [-width, height]])
-        return cls._of((A, I2, I3, J, 5 / 6), (youngs_modulus, poisson_ratio, density), corners)
+        return cls._of(what, shape, (youngs_modulus, poisson_ratio, density), corners)
 
     @classmethod
     @typed
@@ -77,22 +75,18 @@ class RodSection:
         cls, *, youngs_modulus: float, poisson_ratio: float, density: float, radius: float, inner: float = 0.0
     ) -> RodSection:
         """A disc, or a ring with the radius ``inner`` (m); shear factor of Cowper, :func:`.ring`."""
-        A, moment, factor = ring(radius, inner, poisson_ratio)
+        shape = ring(radius, inner, poisson_ratio)
         # what pictures show
         angle = np.linspace(0, 2 * np.pi, 24, endpoint=False)
         rim = radius * np.stack((np.cos(angle), np.sin(angle)), axis=1)
-        return cls._of((A, moment, moment, 2 * moment, factor), (youngs_modulus, poisson_ratio, density), rim)
+        return cls._of("RodSection.circle", shape, (youngs_modulus, poisson_ratio, density), rim)
 
     @classmethod
-    def _of(cls, shape: Sequence[float], material: Sequence[float], outline: Array) -> RodSection:
-        """From area, second moments, torsion constant and shear factor, and (E, nu, rho)."""
+    def _of(cls, what: str, shape: Shape, material: tuple[float, float, float], outline: Array) -> RodSection:
+        """From a shape with the second moments about axes 2 and 3, and (E, nu, rho)."""
         A, I2, I3, J, factor = shape
-        E, nu, rho = material
-        for what, value in (("Young's modulus", E), ("density", rho), ("area", A), ("torsion constant", J)):
-            require(bool(np.isfinite(value)) and value > 0, f"Section: {what} {value} must be positive.")
-        require(-1 < nu <= 0.5, f"Section: Poisson's ratio {nu} must lie in (-1, 0.5].")
+        (E, _, rho), G = material, shear_modulus(what, *material)
         # axial, shear in both directions, torsion, bending about both
-        G = E / (2 * (1 + nu))
         stiffness = (E * A, factor * G * A, factor * G * A, G * J, E * I2, E * I3)
         return cls(stiffness, rho * A, (rho * (I2 + I3), rho * I2, rho * I3), outline=outline)
 
