@@ -47,6 +47,21 @@ def light_rod() -> fmbd.Scene:
     return scene
 
 
+@pytest.mark.parametrize("scheme", [fmbd.Radau(3), fmbd.HalfExplicit()])
+def test_steps_that_all_end_at_samples_are_not_made_larger(scheme: Any) -> None:
+    """A sampled controller holds every step: two in one were the same steps, whose ratio of one divided by zero."""
+    body = fmbd.RigidBody("slider", 1.0, 1.0, (0.0, 0.0))
+    rail = fmbd.prismatic("rail", fmbd.ground, body, axis=(1, 0), center=(0, 0))
+    s = fmbd.displacement(rail)
+    law = {"acts": s, "law": lambda t, y, z: (4.0 * np.sin(2.0 * t) - 40.0 * y["s"][0], ()), "every": 0.013}
+    scene = fmbd.Scene("sampled")
+    scene.add(body, rail, fmbd.controller("hold", reads={"s": s}, **law))
+    scene.sensor("s", s)
+    run = fmbd.solve(scene, t_end=1.04, tol={"s": 1e-6}, scheme=scheme, output=Output(progress=False))
+    exact = fmbd.solve(scene, t_end=1.04, dt=0.013, output=Output(progress=False, times=tuple(run.times)))
+    assert np.abs(run["s"] - exact["s"]).max() < 1e-9 and run.certificate["s"].total <= 1e-6
+
+
 @pytest.mark.parametrize("scheme", [fmbd.Radau(2, rtol=1e-6), fmbd.Radau(3, rtol=1e-7), fmbd.HalfExplicit(rtol=1e-6)])
 def test_steps_in_one_end_where_they_are_told_and_have_the_order_of_the_scheme(
     scheme: Any, monkeypatch: pytest.MonkeyPatch

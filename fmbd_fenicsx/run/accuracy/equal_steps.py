@@ -36,6 +36,7 @@ MATTERS = 1e-6  # the same of its range, below which nobody minds which one it i
 ALIGNED = 0.5  # cosine between differences of runs below which they are not what one motion leaves by its steps
 ASTRAY = 0.1  # share of the range of a sensor by which runs differ from where on the one with larger steps follows another motion
 FURTHER = 1.5  # times what half the step tells that larger ones are believed, where they tell more
+NEAREST = 1.5  # least ratio of steps of runs of which one tells the error of the other
 TWICE = 2.0  # least ratio of steps that tells an error where no order is seen
 MORE_THAN_TWICE = 2.2  # ratio from which on half of the steps are nearer
 

@@ -22,7 +22,7 @@ from ..schedule import StepSchedule, far_side
 from ..single_run import Solved
 from .companion_runs import UNFIT, Compared, companion
 from .deviation import Deviation, unresolved
-from .equal_steps import FEWEST, TimeError, astray, between, compare_steps, of_order
+from .equal_steps import FEWEST, NEAREST, TimeError, astray, between, compare_steps, of_order
 from .orders import MOST_LEFT, REGULAR, TOO_HIGH, expected_orders, resolved, seen_by_ends
 from .search.shares import DOUBTED, Allowed
 
@@ -80,7 +80,7 @@ def in_one(given: Compared, count: int) -> StepSchedule:
 
 
 def with_larger_steps(problem: Problem, given: Compared, count: int) -> Compared | None:
-    """The run once more with so many steps in one; None where it does not end, or had to take others; collective."""
+    """The run once more with so many steps in one; None where it does not end, or has others, or nearly as many; collective."""
     schedule = in_one(given, count)
     try:
         made = companion(problem, schedule, Output(energy=False, progress=False))
@@ -88,7 +88,7 @@ def with_larger_steps(problem: Problem, given: Compared, count: int) -> Compared
         log.info("the run with %d steps in one did not end: %s", count, error)
         return None
     larger = Compared(made.recorder, schedule, given.scheme)
-    return None if _other_steps(larger) else larger
+    return None if _other_steps(larger) or given.steps < NEAREST * larger.steps else larger
 
 
 def two_in_one(solved: Solved) -> Compared | None:

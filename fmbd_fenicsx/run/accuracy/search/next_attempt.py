@@ -33,11 +33,10 @@ from ...schedule import StepSchedule, step_schedule
 from ..certificate import FLOOR, KINDS, Certificate, moving
 from ..companion_runs import UNFIT
 from ..deviation import Deviation
-from ..equal_steps import FEWEST, Orders
+from ..equal_steps import FEWEST, NEAREST, Orders
 from ..estimates import usual_power
 from ..jumps_in_time import jumps_about_kinks, with_break_points
 from ..orders import expected_orders, resolved, seen_by_ends
-from .shared_runs import NEAREST
 from .shared_spaces import SharedSpaces
 from .shares import AIM, WHOLE, Tolerance, check_floor, largest_share, share
 from .space_levels import UNENDED

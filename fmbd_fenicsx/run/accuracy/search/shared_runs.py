@@ -26,6 +26,7 @@ from ..certificate import kinked, show_kinks
 from ..companion_runs import UNFIT, Compared, again, companion, steps_beside, unbegun
 from ..equal_steps import (
     FEWEST,
+    NEAREST,
     Orders,
     TimeError,
     astray,
@@ -45,7 +46,7 @@ from ..larger_steps import LargerSteps
 from ..orders import REGULAR, expected_orders, resolved, seen_by_ends
 from .shares import DOUBTED, Allowed
 
-NEAREST, FARTHEST = 1.5, 8.0  # ratios of steps between which a run tells the error of one with smaller steps
+FARTHEST = 8.0  # ratio of steps up to which a run tells the error of one with smaller steps
 BEYOND = 20.0  # the same where they show the order of the scheme
 PARTED = 0.25  # halvings of steps, for each step, that a run may take: beyond, smaller steps cost less
 LOOSER = 5.0, 30.0  # ratios of tolerances between which an earlier attempt tells the error of a later one
