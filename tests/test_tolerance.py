@@ -646,6 +646,23 @@ def test_no_run_is_made_twice(name: str, k: int, spaces: int, monkeypatch: pytes
     assert len(finer) == spaces
 
 
+def test_iterations_are_judged_by_more_than_their_mean() -> None:
+    """In a driven crank nothing but iterations errs: 0.6 of the tolerance in the mean of steps was 1.7 in the worst."""
+    crank = fmbd.RigidBody("crank", 1.0, 0.002, (0.05, 0.0))
+    rod = fmbd.RigidBody("rod", 0.6, 0.005, (0.25, 0.0))
+    piston = fmbd.RigidBody("piston", 0.4, 1e-4, (0.4, 0.0))
+    scene = fmbd.Scene("crank", gravity=(0, -9.81))
+    scene.add(crank, rod, piston, fmbd.revolute("shaft", fmbd.ground, crank, center=(0, 0)))
+    scene.add(fmbd.revolute("pin", crank, rod, center=(0.1, 0)), fmbd.revolute("end", rod, piston, center=(0.4, 0)))
+    scene.add(fmbd.prismatic("guide", fmbd.ground, piston, axis=(1, 0), center=(0.4, 0)))
+    scene.add(fmbd.drive_rotation("turn", fmbd.ground, crank, lambda t: 25.0 * t))
+    scene.sensor("x", fmbd.position(piston))
+    run = fmbd.solve(scene, t_end=5.0, tol={"x": 1e-7}, scheme=fmbd.Rattle(), output=fmbd.Output(progress=False))
+    angle = 25.0 * run.times
+    exact = 0.1 * np.cos(angle) + np.sqrt(0.09 - 0.01 * np.sin(angle) ** 2)
+    assert np.abs(run["x"][:, 0] - exact).max() <= 1e-7
+
+
 def test_newton_is_tightened_where_it_leaves_too_much() -> None:
     """Its share is seen in the first attempt; a user's own tolerance is left as it is, with what it should be."""
     tol, output = {"x": 1e-11}, fmbd.Output(every=1000, progress=False)

@@ -80,7 +80,7 @@ def in_one(given: Compared, count: int) -> StepSchedule:
 
 
 def with_larger_steps(problem: Problem, given: Compared, count: int) -> Compared | None:
-    """The run once more with so many steps in one; None where it does not end, or has others, or nearly as many; collective."""
+    """The run once more with so many steps in one; None where it does not end, or had to take others; collective."""
     schedule = in_one(given, count)
     try:
         made = companion(problem, schedule, Output(energy=False, progress=False))
@@ -88,13 +88,18 @@ def with_larger_steps(problem: Problem, given: Compared, count: int) -> Compared
         log.info("the run with %d steps in one did not end: %s", count, error)
         return None
     larger = Compared(made.recorder, schedule, given.scheme)
-    return None if _other_steps(larger) or given.steps < NEAREST * larger.steps else larger
+    return None if _other_steps(larger) else larger
 
 
 def two_in_one(solved: Solved) -> Compared | None:
-    """A run once more with steps that are two of its own in one; None where these do not tell its error; collective."""
+    """A run once more with steps that are two of its own in one; None where these do not tell its error, as where nearly all end
+    at marks between them; collective.
+    """
     problem, given = solved.problem, solved.compared
-    return with_larger_steps(problem, given, 2) if may_be_larger(problem, given, solved.run.counters) else None
+    if not may_be_larger(problem, given, solved.run.counters):
+        return None
+    two = with_larger_steps(problem, given, 2)
+    return None if two is None or given.steps < NEAREST * two.steps else two
 
 
 class LargerSteps:

@@ -38,7 +38,7 @@ from ..estimates import usual_power
 from ..jumps_in_time import jumps_about_kinks, with_break_points
 from ..orders import expected_orders, resolved, seen_by_ends
 from .shared_spaces import SharedSpaces
-from .shares import AIM, WHOLE, Tolerance, check_floor, largest_share, share
+from .shares import AIM, ITERATED, WHOLE, Tolerance, check_floor, largest_share, share
 from .space_levels import UNENDED
 
 if TYPE_CHECKING:
@@ -178,7 +178,7 @@ def next_plan(
 
     # the iteration first, which is part of every run
     done = []
-    if over["algebra"] > AIM:
+    if over["algebra"] > ITERATED:
         if why := _iterate_further(shared, over["algebra"]):
             return None, why
         over["algebra"], done = TIGHTER, ["a smaller tolerance of Newton's iteration"]

@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 
 AIM = 0.6  # share of the tolerance below which the error of space, or of modes, is brought: its estimate is the coarser one
 WHOLE, SAFE = 0.8, 0.9  # shares that all kinds together are brought below, and must be
+ITERATED = (
+    0.2  # what Newton's iteration may take: it is known of a mean step, and the largest leave a few times as much
+)
 # times the room up to which an error that is told by chance is asked again, as it may be a tenth; and ratio of two such
 DOUBTED = 3.0
 UNKNOWN = ("", "-", "?")  # units that are none
@@ -147,7 +150,8 @@ def worst(made: Certificate, tol: Tolerance) -> float:
 def safe(made: Certificate, tol: Tolerance) -> bool:
     """Whether the stated errors leave room for that of the estimates themselves."""
     fixed = max(share(made, n, x, kind) for n, x in tol.items() for kind in ("space", "modes"))
-    return worst(made, tol) <= SAFE and fixed <= AIM
+    iterated = max(share(made, n, x, "algebra") for n, x in tol.items())
+    return worst(made, tol) <= SAFE and fixed <= AIM and iterated <= ITERATED
 
 
 def alone(run: Run, made: Certificate, tol: Tolerance) -> bool:
