@@ -545,6 +545,10 @@ def test_new_tangents_only_where_they_save_increments(rod_mesh: Callable[..., An
     assert run.counters["newton_iterations"] > 4 * run.counters["steps"]
     assert run.counters["factorisations"] <= 6
 
+    # increments that factors of another frequency leave ask for none
+    run = fmbd.solve(pendulum(rod_mesh(h=0.5), "absolute", E=1e9), t_end=0.5, scheme=fmbd.BDF(rtol=1e-5))
+    assert run.counters["factorisations"] <= 12
+
 
 def test_increments_of_stages_with_a_tangent_each(rod_mesh: Callable[..., Any]) -> None:
     """They leave a hundredth of the residual of stages that are far apart, where one tangent for all leaves a tenth."""

@@ -115,6 +115,8 @@ def test_own_steps_of_bdf_are_calls_of_compiled_code(
     monkeypatch.setattr(ImplicitStepper, "_march_of", lambda _: None)
     slow = fmbd.solve(scene, t_end=0.1, scheme=scheme, output=output)
     assert fast.counters["steps"] == slow.counters["steps"] > 50
+    assert slow.counters["newton_iterations"] == pytest.approx(fast.counters["newton_iterations"], rel=0.02)
+    assert slow.counters["stage_iterations"] <= 0.2 * slow.counters["steps"]  # factors that are near serve without any
     for name, share in SAME.items():
         wanted, allowed = getattr(slow.state, name), 0.01 * share * scheme.rtol
         assert getattr(fast.state, name) == pytest.approx(wanted, rel=0, abs=allowed * np.abs(wanted).max()), name

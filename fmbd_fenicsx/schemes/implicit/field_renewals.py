@@ -2,13 +2,15 @@
 
 A tangent serves as long as steps need hardly more increments than one with a new tangent did. What a tangent of one motion
 leaves out (gyroscopic terms, the turning of parts against each other within a step) a new one leaves out, too: such increments
-ask for none. Compiled code does the same (``driver/implicit/field_stages.c``), in whole steps.
+ask for none. Nor do those that the factors of another frequency leave: steps are compared with others of the same correction
+(``relax``). Compiled code does the same (``driver/implicit/field_stages.c``), in whole steps.
 """
 
 from __future__ import annotations
 
 from typing import ClassVar
 
+from ...linear.frequency_solvers import SAME
 from ...mechanics.placements import Approach
 from ...rotations import Array
 from ...system.compiled.declarations import enumeration
@@ -24,20 +26,23 @@ MANY, MORE = COUNTS["MANY"], COUNTS["MORE"]
 class FieldRenewals(Remembering):
     """Of one run. ``due``: whether the step begins with new tangents."""
 
-    keeps: ClassVar = dict.fromkeys(("due", "_increments", "_fewest", "_new"), plain())
+    keeps: ClassVar = dict.fromkeys(("due", "_increments", "_fewest", "_new", "_relax", "_relaxed"), plain())
 
     def __init__(self, system: System) -> None:
         self.system = system
         self.fields = [k for k, part in system.fields if part.renewable]
         self.due = False
         self._increments = 0  # of the step
-        self._fewest = 0  # of a step since the newest tangents
+        self._fewest = 0  # of a step since the newest tangents, or since another correction
+        self._relax = self._relaxed = 1.0  # corrections of the step, and of the one before
         self._new = False  # whether the step has taken new ones
 
     def begin(self) -> None:
         """Begin a step from another state than the last one."""
         if made := self._increments:
-            self._fewest = made if self._new else min(self._fewest, made)
+            other = abs(self._relax - self._relaxed) > SAME
+            self._fewest = made if self._new or other else min(self._fewest, made)
+            self._relaxed = self._relax
             self.due = made > max(MANY, self._fewest + MORE)
         self._increments, self._new = 0, False
 
@@ -45,9 +50,10 @@ class FieldRenewals(Remembering):
         """Begin one from the same state."""
         self._increments = 0
 
-    def count(self, increments: int) -> None:
-        """Take note of so many increments."""
+    def count(self, increments: int, relax: float) -> None:
+        """Take note of so many increments, corrected by ``relax``."""
         self._increments += increments
+        self._relax = relax
 
     def ask(self, *, again: bool = False) -> bool:
         """Whether a step that has failed may be tried with new tangents, which it takes then; ``again``: several times."""
@@ -72,10 +78,15 @@ class FieldRenewals(Remembering):
         """Let compiled code go on."""
         c = room.fields
         c.renewable, c.outworn, c.fewest, c.renewed = bool(self.fields), self.due, self._fewest, 0
+        c.relaxed = self._relaxed
 
     def follow(self, room: FieldStageRoom) -> None:
         """Go on behind steps of compiled code."""
-        self.due, self._fewest = bool(room.fields.outworn), int(room.fields.fewest)
+        self.due, self._fewest, self._relaxed = (
+            bool(room.fields.outworn),
+            int(room.fields.fewest),
+            float(room.fields.relaxed),
+        )
 
     def tried(self, room: FieldStageRoom) -> None:
         """Take notice of what compiled code has tried in a step that is to be made in parts."""

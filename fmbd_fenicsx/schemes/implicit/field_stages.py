@@ -221,7 +221,7 @@ class FieldEquations(Equations):
 
     def follow(self, dxi: Array, rule: StageRule) -> None:
         """As :meth:`Equations.follow`: pressures move along, and take what iterations have left of the balance."""
-        self.renewals.count(1)
+        self.renewals.count(1, rule.relax)
         if self.pressures.fields:
             self.pressures.move(dxi + rule.relax * (rule.vectors @ self.left_motions).real, rule.relax)
 

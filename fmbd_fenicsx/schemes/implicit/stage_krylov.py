@@ -185,7 +185,7 @@ class FieldStages:
         done = convergence.done
         with self.eq.pressures.lent(room) if self.eq.pressures.fields else nullcontext():
             self.judge.solves += room.iterate(convergence, until)
-        self.eq.renewals.count(convergence.done - done)
+        self.eq.renewals.count(convergence.done - done, float(room.c.relax))
         self.before = room.known["before"].copy()
 
     def solve(self, kin: Array, low: Array) -> tuple[Array, Array]:

@@ -113,9 +113,20 @@ class Corrector(StepNewton):
             at = State(t, self.system.compose(self.eq.origin, p.xi[0]), p.v[0], p.vd[0], state.lam)
             self.tangent, self.pencil, self.fresh = self.eq.refresh(at, p.mult[0]), None, True
         old = None if self.pencil is None else float(self.pencil.s[0])
-        least, most = NEAR
-        if old is None or not least <= s / old <= most or (not self.adaptive and s != old):
-            self.pencil = self.eq.pencil(self.tangent, np.array([s]), self.judge)
+        served = self._serving(s, old)
+        if served != old:
+            self.pencil = self.eq.pencil(self.tangent, np.array([served]), self.judge)
             self.factorisations += 1
-            return 1.0
-        return 2.0 / (1.0 + s / old)
+        return 2.0 / (1.0 + s / served)
+
+    def _serving(self, s: float, factored: float | None) -> float:
+        """The frequency whose factors serve s, as bdf.c has it: of constant steps its own, else that of the grid, or the one at
+        hand, which is near. Tangents of each iterate have their own.
+        """
+        grid, (least, most) = self.eq.frequency_grid, NEAR
+        if self.full or not self.adaptive:
+            return s
+        if grid.get("anchor"):
+            places = grid["places_of_decade"]
+            return float(grid["anchor"] * 10.0 ** (round(places * float(np.log10(s / grid["anchor"]))) / places))
+        return s if factored is None or not least <= s / factored <= most else factored

@@ -24,6 +24,7 @@ typedef struct FieldStages {
                                           increments of a step since, at the least: schemes/implicit/field_renewals.py */
     int pressures;                     /* unknown ones of all fields, side by side: */
     double *pressure, *opened, *began; /* points x pressures: of the points, and their balances; where the step began */
+    double relaxed;                    /* how increments of the last step were corrected for factors of another frequency */
     double solves, slow;               /* share of the increment before from which on Python iterates on solutions */
 } FieldStages;
 
@@ -50,6 +51,7 @@ static void add_closing(const Stages *o, const double *c, double *y)
 /* ---- pressures that are unknowns: schemes/implicit/stage_pressures.py ---- */
 
 enum { MANY = 4, MORE = 2 };           /* increments of a step, and more than one behind new tangents, from which on the next one takes some */
+static const double CORRECTED_ALIKE = 1e-8; /* difference of corrections by roundoff of the step's size */
 
 /* Those of the fields in the tables of ``s``, or their balances, as they stand side by side in x: into x, or out of it. */
 enum { INTO, OUT_OF };
@@ -110,11 +112,14 @@ static void renew_fields(FieldStages *e)
     e->lent = 0.0;
 }
 
-/* Steps of more increments than new tangents would ask for have these in the next one. */
+/* Steps of more increments than new tangents would ask for have these in the next one. Increments that are corrected for factors
+   of another frequency fall off as these do: they are compared with those of such steps. */
 static void wear_tangents(const Stages *o, int increments)
 {
     FieldStages *e = o->fields;
-    if (e->renewed || increments < e->fewest) e->fewest = increments;
+    const int other = fabs(o->relax - e->relaxed) > CORRECTED_ALIKE;
+    if (e->renewed || other || increments < e->fewest) e->fewest = increments;
+    e->relaxed = o->relax;
     e->renewed = 0;
     if (e->renewable && increments > MANY && increments > e->fewest + MORE) renew_fields(e);
 }
