@@ -139,6 +139,17 @@ def test_calls_of_functions_of_plain_numbers(scheme: Any) -> None:
     assert found < AROUND + EACH * each
 
 
+@compiled
+@pytest.mark.parametrize("scheme", [fmbd.Radau(2, rtol=None), fmbd.BDF(5, rtol=None)], ids=lambda s: s.name)
+def test_tangents_take_slopes_of_forces(scheme: Any) -> None:
+    """A force is asked at the iterates of the stages, and for its slopes: differences of a tangent asked it three times a colour."""
+    asked: list[float] = []
+    _, each = calls_a_step(lambda: scene_of("own force", asked), scheme, asked)
+    runs = [fmbd.solve(scene_of("own force", []), t_end=k * DT, dt=DT, scheme=scheme).counters for k in (20, 60)]
+    increments, tangents = ((runs[1][x] - runs[0][x]) / 40 for x in ("newton_iterations", "jacobians"))
+    assert each < getattr(scheme, "stages", 1) * (increments + 1.0) + 3.0 * tangents
+
+
 def links_of_hardly_any_mass() -> fmbd.Scene:
     """Heavy links behind light ones."""
     scene, last = fmbd.Scene("light", gravity=(0.0, -9.81)), fmbd.ground

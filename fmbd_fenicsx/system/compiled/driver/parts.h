@@ -61,6 +61,7 @@ PART double mount_energy(const System *s, const Batch *k);
 /* whole.c */
 PART int whole_forces(System *s, Batch *k, double t);
 PART int whole_tangents(System *s, Batch *k, double t);
+PART int take_whole_slopes(System *s, Batch *k, double t);
 PART void whole_links(System *s, const Batch *k, const double *cd, const double *ck);
 
 /* Fronts that lead into each other, ascending, and the bodies whose unknowns they hold. */

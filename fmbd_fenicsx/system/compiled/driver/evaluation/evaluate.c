@@ -129,6 +129,7 @@ static int along_tangents(System *s, Batch *k, double t)
 /* Slopes of laws at the state evaluated last, those in Python by a call, and where they were taken. */
 int take_slopes(System *s, Batch *k, double t)
 {
+    if (k->role == WHOLE) return take_whole_slopes(s, k, t);
     if ((k->role != LAW && k->role != FORMULA) || is_held(s, k)) return DONE;
     if (k->role == LAW && k->sloped != s->evaluations && ask_slopes(s, k, t)) return FAILED;
     if (k->act) keep_readings(s, k);

@@ -68,12 +68,12 @@ static void arm(const System *s, const Batch *k, long i, double *lever)
     for (int j = 0; j < D; j++) lever[j] = k->sight[PLACED * k->marker[i] + j] - s->frames[FRAME * k->pair[i] + j];
 }
 
-/* Whether the slopes foretell the wrenches from the last evaluation to this one. On surfaces, where a small part of a body moves, they
-   have to be right to 2 %. */
-static int surprised(const System *s, const Batch *k, long i)
+/* By how much the slopes of a force miss ``push``, from where its sights and wrench were kept on; ``moved``: its markers since. */
+static void missed_by(const Batch *k, long i, const double *push, double *moved, double *miss)
 {
-    const double *known = k->known + KNOWN * i, *push = k->push + PAIR * i;
-    double moved[PAIR] = {0.0}, faster[PAIR] = {0.0};
+    const double *known = k->known + KNOWN * i;
+    double faster[PAIR] = {0.0};
+    memset(moved, 0, PAIR * sizeof(double));
     for (int side = 0; side < 2; side++) {
         const double *now = k->sight + PLACED * k->marker[2 * i + side], *then = known + PLACED * side;
         if (alone(k, i, side)) continue;
@@ -81,11 +81,31 @@ static int surprised(const System *s, const Batch *k, long i)
         for (int j = 0; j < TWIST; j++) faster[TWIST * side + j] = now[SIDE + j] - then[SIDE + j];
     }
 
-    double miss[PAIR], missed = 0.0, change = 0.0, whole = 0.0;
     for (int j = 0; j < PAIR; j++) {
         const long row = (long)PAIR * (PAIR * i + j);
-        double went = push[j] - known[2 * PLACED + j];
-        miss[j] = went + dot(k->K + row, moved, PAIR) + dot(k->B + row, faster, PAIR);
+        miss[j] = push[j] - known[2 * PLACED + j] + dot(k->K + row, moved, PAIR) + dot(k->B + row, faster, PAIR);
+    }
+}
+
+/* Wrenches by the slopes, from where these were taken on. */
+static void along_slopes(const Batch *k)
+{
+    double moved[PAIR], miss[PAIR];
+    for (long i = 0; i < k->n; i++) {
+        missed_by(k, i, k->push + PAIR * i, moved, miss);
+        add(k->push + PAIR * i, -1.0, miss, PAIR);
+    }
+}
+
+/* Whether the slopes foretell the wrenches from the last evaluation to this one. On surfaces, where a small part of a body moves, they
+   have to be right to 2 %. */
+static int surprised(const System *s, const Batch *k, long i)
+{
+    const double *known = k->known + KNOWN * i, *push = k->push + PAIR * i;
+    double moved[PAIR], miss[PAIR], missed = 0.0, change = 0.0, whole = 0.0;
+    missed_by(k, i, push, moved, miss);
+    for (int j = 0; j < PAIR; j++) {
+        const double went = push[j] - known[2 * PLACED + j];
         missed += miss[j] * miss[j], change += went * went, whole += push[j] * push[j];
     }
     if (!(missed > 1e-22 * whole)) return !(missed <= 1e-22 * whole);
@@ -116,13 +136,16 @@ static void keep_sights(Batch *k)
     }
 }
 
-/* Wrenches on the markers into the residuals of their frames; one call into Python for all forces of a batch. */
+/* Wrenches on the markers into the residuals of their frames; one call into Python for all forces of a batch, or their slopes. */
 int whole_forces(System *s, Batch *k, double t)
 {
     for (long i = 0; i < 2 * k->n; i++)
         if (!alone(k, i / 2, i % 2)) sight_of(s->frames + FRAME * k->pair[i], k->P + SIDE * i, k->sight + PLACED * k->marker[i]);
-    s->calls++;
-    if (s->python(WRENCHES, k->number, t)) return FAILED;
+    if (s->straight) along_slopes(k);
+    else {
+        s->calls++;
+        if (s->python(WRENCHES, k->number, t)) return FAILED;
+    }
 
     for (long i = 0; i < 2 * k->n; i++) {
         double lever[D], on_frame[TWIST];
@@ -131,6 +154,7 @@ int whole_forces(System *s, Batch *k, double t)
         for (int j = 0; j < TWIST; j++) s->residual[k->at[TWIST * i + j]] -= on_frame[j];
     }
 
+    if (s->straight) return DONE;
     for (long i = 0; i < k->n && !*k->astray; i++) *k->astray = surprised(s, k, i);
     keep_sights(k);
     return DONE;
@@ -166,14 +190,18 @@ static void parts_of(const Batch *k, long i, double cd, double ck, double *symme
         }
 }
 
+/* New slopes from Python, of the state evaluated last. */
+int take_whole_slopes(System *s, Batch *k, double t)
+{
+    s->calls++;
+    *k->astray = 0;
+    return s->python(WHOLE_SLOPES, k->number, t) ? FAILED : DONE;
+}
+
 /* The symmetric part of ck K + cd B into the fronts; Python gives new slopes where the old ones misled, or Newton is slow with them. */
 int whole_tangents(System *s, Batch *k, double t)
 {
-    if (*k->astray || s->renewed) {
-        s->calls++;
-        if (s->python(WHOLE_SLOPES, k->number, t)) return FAILED;
-        *k->astray = 0;
-    }
+    if ((*k->astray || s->renewed) && take_whole_slopes(s, k, t)) return FAILED;
 
     for (long i = 0; i < k->n; i++) {
         double C[PAIR * PAIR], rest[PAIR * PAIR];
