@@ -142,7 +142,7 @@ def test_calls_of_functions_of_plain_numbers(scheme: Any) -> None:
 @compiled
 @pytest.mark.parametrize("scheme", [fmbd.Radau(2, rtol=None), fmbd.BDF(5, rtol=None)], ids=lambda s: s.name)
 def test_tangents_take_slopes_of_forces(scheme: Any) -> None:
-    """A force is asked at the iterates of the stages, and for its slopes: differences of a tangent asked it three times a colour."""
+    """A force is asked at the iterates of the stages, and for its slopes: differences asked it three times a colour."""
     asked: list[float] = []
     _, each = calls_a_step(lambda: scene_of("own force", asked), scheme, asked)
     runs = [fmbd.solve(scene_of("own force", []), t_end=k * DT, dt=DT, scheme=scheme).counters for k in (20, 60)]
