@@ -272,8 +272,8 @@ def test_singular_values_where_a_factor_is_not_enough(monkeypatch: pytest.Monkey
     """Steps that lose gaps to roundoff far from singular positions ask for no singular values; near the dead centre they do."""
     asked = []
 
-    def counted(ev: Any, rank: int) -> tuple[float, str]:
-        asked.append(nearly_dependent(ev, rank))
+    def counted(ev: Any, rank: int, **how: bool) -> tuple[float, str]:
+        asked.append(nearly_dependent(ev, rank, **how))
         return asked[-1]
 
     monkeypatch.setattr(configuration_warnings, "nearly_dependent", counted)
@@ -488,6 +488,21 @@ def test_singular_values_that_do_not_converge_are_found_the_slow_way(monkeypatch
     assert (found.rank, found.rows) == (given.rank, given.rows)
     with pytest.raises(LinearSolveError, match="not finite"):
         singular_values(np.full((2, 2), np.nan))
+
+
+def test_a_train_about_tilted_axes_whose_gears_reduce_too_far_is_told(caplog: Any) -> None:
+    """1e-9 and back about axes that lie along none of space: no factor holds its wheels apart, and the first turns too far."""
+    scene, before, axis = fmbd.Scene("train", gravity=(0, 0, 0)), None, (0.3, 0.5, 1.0)
+    for i in range(19):
+        wheel = fmbd.RigidBody(f"wheel {i}", 1.0, 0.1 * np.eye(3), (float(i), 0.0, 0.0))
+        pin: Any = fmbd.revolute(f"pin {i}", fmbd.ground, wheel, center=(float(i), 0.0, 0.0), axis=axis)
+        scene.add(wheel, pin)
+        if before is not None:
+            scene.add(fmbd.gear(f"gear {i}", fmbd.angle(before), fmbd.angle(pin), ratio=-0.1 if i < 10 else -10.0))
+        before = pin
+    scene.add(fmbd.torque("push", scene.bodies["wheel 0"], lambda t: (0.1, 0.2, 0.3)))
+    fmbd.solve(scene, t_end=2e-3, dt=1e-3, output=fmbd.Output(progress=False))
+    assert any("near-singular" in r.getMessage() and "gear" in r.getMessage() for r in caplog.records)
 
 
 @pytest.mark.parametrize("height", [0.0, 1e-9])

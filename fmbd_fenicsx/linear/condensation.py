@@ -166,7 +166,7 @@ class StepSolver:
             ) from error
         self._held = self._configuration(ev, weights)
         if s.n_lam and (self.core.ratio < 1e-5 or self.near_singular.now):
-            self.near_singular.look(ev, self.core.rank)
+            self.near_singular.look(ev, self.core.rank, evens=False)
 
     def prepare_once(self, ev: Evaluation, weights: Weights) -> None:
         """As :meth:`prepare`, unless the matrix is there."""

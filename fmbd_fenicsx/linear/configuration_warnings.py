@@ -84,12 +84,15 @@ class NearSingular:
         self._began = False
         self._met: list[tuple[float, str, float]] | None = None  # in a trial
 
-    def look(self, ev: Evaluation, rank: int | None, *, limit: float = NEAR_SINGULAR) -> None:
-        """``limit``: sigma_min / sigma_max below which it is close. Once warned of, a position is left behind above ``CLOSE``."""
-        if rows_are_independent(ev, max(CERTAIN, CLOSE if self.now else limit)):
+    def look(self, ev: Evaluation, rank: int | None, *, limit: float = NEAR_SINGULAR, evens: bool = True) -> None:
+        """``limit``: sigma_min / sigma_max below which it is close. Once warned of, a position is left behind above ``CLOSE``.
+
+        ``evens``: whether who solves bears motions of frames of any sizes, as behind gears.
+        """
+        if rows_are_independent(ev, max(CERTAIN, CLOSE if self.now else limit), evens=evens):
             self.now = False
             return
-        ratio, joint = nearly_dependent(ev, rank or ev.system.n_lam)
+        ratio, joint = nearly_dependent(ev, rank or ev.system.n_lam, evens=evens)
         if ratio < limit and not self.now:
             met = (ratio, joint, ev.t)
             if self._met is None:

@@ -123,11 +123,11 @@ class Dependence:
         return float(self.sizes[k]), self.vectors[:, k]
 
 
-def scaled_rows(ev: Evaluation) -> Dependence:
-    """What rows of G_s depend on each other, with (2) where they depend less then."""
+def scaled_rows(ev: Evaluation, *, evens: bool = True) -> Dependence:
+    """What rows of G_s depend on each other, with (2) where they depend less then, if ``evens``."""
     G = _scaled(ev)
     found = _smallest(G)
-    if found.clear < found.rows and (even := _evened(G, _frames(ev))) is not None:
+    if evens and found.clear < found.rows and (even := _evened(G, _frames(ev))) is not None:
         evened = _smallest(even)
         found = evened if evened.clear > found.clear else found
     return found
@@ -209,9 +209,9 @@ def _normed(G: Any) -> Any:
     return sp.diags_array(1.0 / np.where(size > 0, size, 1.0)) @ G
 
 
-def rows_are_independent(ev: Evaluation, above: float = CERTAIN) -> bool:
+def rows_are_independent(ev: Evaluation, above: float = CERTAIN, *, evens: bool = True) -> bool:
     """Whether the constraint rows certainly do not depend on each other; False where a closer look is needed,
-    :func:`scaled_rows`. ``above``: sigma_min / sigma_max that they have; up to CERTAIN also with (2).
+    :func:`scaled_rows`. ``above``: sigma_min / sigma_max that they have; up to CERTAIN also with (2), if ``evens``.
 
     A factor of G_s G_s^T and a few inverse iterations tell its smallest eigenvalue, sigma_min^2: for chains and trees the work is
     proportional to their length. Squares hide what is below 1e-8, so only sigma_min > 1e-5 sigma_max is certain.
@@ -219,7 +219,7 @@ def rows_are_independent(ev: Evaluation, above: float = CERTAIN) -> bool:
     G = _scaled(ev)
     if _certainly(G, above):
         return True
-    even = _evened(G, _frames(ev)) if above <= CERTAIN else None
+    even = _evened(G, _frames(ev)) if evens and above <= CERTAIN else None
     return even is not None and _certainly(even, above)
 
 

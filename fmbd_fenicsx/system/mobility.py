@@ -108,9 +108,11 @@ def mobility(ev: Evaluation) -> Mobility:
     )
 
 
-def nearly_dependent(ev: Evaluation, rank: int) -> tuple[float, str]:
-    """sigma_rank / sigma_1 of the scaled G, and the joint with the largest part in that smallest singular vector."""
-    size, vector = scaled_rows(ev).of(rank)
+def nearly_dependent(ev: Evaluation, rank: int, *, evens: bool = True) -> tuple[float, str]:
+    """sigma_rank / sigma_1 of the scaled G, as :func:`~.dependence.scaled_rows`, and the joint with the largest part in that
+    smallest singular vector.
+    """
+    size, vector = scaled_rows(ev, evens=evens).of(rank)
     part = {b.name: float((vector[b.rows] ** 2).sum()) for b in ev.system.blocks}
     return size, max(part, key=lambda name: part[name])
 
