@@ -160,15 +160,13 @@ def named(
             so far behind a table that is as long as the run. Not for functions that are differenced.
     """
 
-    def call(*args: Any) -> Any:
-        if AGREEMENTS:
-            return AGREEMENTS[-1](f'{what} "{name}"', lambda: alone(*args))
-        return alone(*args)
-
-    def alone(*args: Any) -> Any:
+    def call(*args: Any, alone: bool = False) -> Any:  # at every iterate, some of them: no more calls than are needed
+        if AGREEMENTS and not alone:
+            return AGREEMENTS[-1](f'{what} "{name}"', lambda: call(*args, alone=True))
         try:
             value = function(*args)
-            return _at_the_end(function, args, value, time) if to_end and _no_number(value) else value
+            none = to_end and (value != value if isinstance(value, float) else _no_number(value))
+            return _at_the_end(function, args, value, time) if none else value
         except FmbdError:
             raise
         except Exception as error:

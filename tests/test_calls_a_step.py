@@ -13,6 +13,10 @@ from profiled import calls_of
 from test_driver import compiled
 
 import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.mechanics.forces.user_laws import Repeatable
+from fmbd_fenicsx.mechanics.joints.couplings import smooth_motion
+from fmbd_fenicsx.mechanics.kinds.asked import AskedFunction
+from fmbd_fenicsx.rotations import motions
 from fmbd_fenicsx.schemes.own_marching import OwnMarch
 
 SCHEMES = [
@@ -148,6 +152,19 @@ def test_tangents_take_slopes_of_forces(scheme: Any) -> None:
     runs = [fmbd.solve(scene_of("own force", []), t_end=k * DT, dt=DT, scheme=scheme).counters for k in (20, 60)]
     increments, tangents = ((runs[1][x] - runs[0][x]) / 40 for x in ("newton_iterations", "jacobians"))
     assert each < getattr(scheme, "stages", 1) * (increments + 1.0) + 3.0 * tangents
+
+
+def test_a_function_is_asked_by_one_call_more() -> None:
+    """Usual answers pass at a glance: of a motion, a law, and a joint by a function of numbers, once they are known."""
+    motion = smooth_motion("drive", lambda t: 0.5 * float(t))
+    law = Repeatable("The law of spring", "spring", lambda s, rate, t: 2.0 * s)
+    joint = AskedFunction("cam", lambda xa, Ra, xb, Rb, t: [xb[1] - float(xb[0])], motions(2), (1,), 1.0)
+    poses = np.zeros((2, 2)), np.stack([np.eye(2)] * 2)
+    asks = [lambda: motion.place(0.5), lambda: law.number(0.1, 0.0, 0.5), lambda: joint.at(poses, 0.5)]
+    assert joint.count == 1
+    for ask in asks:
+        ask()
+    assert [calls_of(ask) for ask in asks] == [3, 2, 2]  # with the function itself, and the motion's place
 
 
 def links_of_hardly_any_mass() -> fmbd.Scene:

@@ -82,7 +82,8 @@ class Repeatable:
         """What it returns as a number, checked. What is no plain number, or fails, is asked again with all that belongs to it."""
         if self._asked and not AGREEMENTS:
             try:
-                found = plain(self.function(*args))
+                value = self.function(*args)
+                found = value if isinstance(value, float) and isfinite(value) else plain(value)
             except Exception:
                 found = None  # with a name below
             if found is not None:

@@ -84,8 +84,8 @@ class SmoothMotion:
         if self.complete:
             return self(t)[0]
         value = self.function(t)
-        if self._usable(value):
-            return value  # type: ignore[no-any-return]
+        if isinstance(value, float) and isfinite(value) and (value > 0.0 or not self.positive):
+            return value
         s = self._checked(value, t)
         self._require(len(s) == 1, s, t)
         return float(s[0])
