@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 from motion import Motion, elastic_scene, plane_scene, space_scene
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicSpline, PPoly
 from test_joints import AXIS, CENTER, check_derivatives
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import kernel_cache
 from fmbd_fenicsx.errors import CallbackError, InputError
-from fmbd_fenicsx.mechanics.joints.couplings import smooth_motion
+from fmbd_fenicsx.mechanics.joints.couplings import smooth_motion, with_its_derivatives
 
 
 def joints(dim: int) -> tuple[fmbd.Scene, list[Any]]:
@@ -208,6 +208,22 @@ def test_an_interpolation_is_asked_for_its_own_derivatives() -> None:
         found.append(fmbd.solve(scene, t_end=0.1, dt=1e-3, output=fmbd.Output(every=100))["torque"][-1])
     assert len(asked) < 20 * 100  # of the table and of both derivatives; 85 a step by differences
     np.testing.assert_allclose(found[0], found[1], rtol=1e-2)
+
+
+def test_piecewise_polynomials_and_their_derivatives_are_asked_at_once() -> None:
+    """To the last bit as one by one; a class that answers otherwise is asked itself."""
+
+    class Twice(CubicSpline):
+        def __call__(self, *args: Any, **options: Any) -> Any:
+            return 2.0 * super().__call__(*args, **options)
+
+    t = np.linspace(0.0, 0.1, 21)
+    spline, other = (kind(t, np.sin(9 * t), extrapolate=False) for kind in (CubicSpline, Twice))
+    motion, twice = (smooth_motion("motor", function) for function in (spline, other))
+    assert isinstance(with_its_derivatives(spline), PPoly) and not isinstance(with_its_derivatives(other), PPoly)
+    for at in (0.0, 0.013, 0.1):
+        assert motion(at) == tuple(spline(at, order) for order in range(3))
+        assert twice(at) == tuple(other(at, order) for order in range(3))
 
 
 def test_computed_derivatives_of_a_motion() -> None:

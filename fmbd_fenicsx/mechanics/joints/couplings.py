@@ -129,16 +129,35 @@ class Standing:
         return self.value, 0.0, 0.0
 
 
-def _with_its_derivatives(function: Callable[[float], Any]) -> Callable[[float], Any]:
+def with_its_derivatives(function: Callable[[float], Any]) -> Callable[[float], Any]:
     """An interpolation that knows its derivatives, by ``derivative(order)`` as SciPy's do, as t -> (s, s', s'') by these;
     any other function as it is.
     """
     try:
-        first, second = (function.derivative(order) for order in (1, 2))  # type: ignore[attr-defined]
-        known = all(np.size(one(0.0)) == 1 for one in (function, first, second))
+        all_three = function, *(function.derivative(order) for order in (1, 2))  # type: ignore[attr-defined]
+        known = all(np.size(one(0.0)) == 1 for one in all_three)
     except Exception:
         return function  # what it has by this name is no derivative
-    return (lambda t: np.array([function(t), first(t), second(t)], dtype=float)) if known else function
+    if not known:
+        return function
+    return _at_once(all_three) or (lambda t: np.array([one(t) for one in all_three], dtype=float))
+
+
+def _at_once(functions: tuple[Any, ...]) -> Callable[[float], Any] | None:
+    """Piecewise polynomials of SciPy with the same pieces as one of several components; None for others, and for classes of a
+    user's own that answer calls otherwise.
+    """
+    from scipy.interpolate import PPoly
+
+    first = functions[0]
+    plain = all(type(one).__call__ is PPoly.__call__ for one in functions)
+    if not plain or not all(np.array_equal(one.x, first.x) for one in functions):
+        return None
+    # highest powers come first; derivatives have fewer
+    coefficients = np.zeros((*first.c.shape[:2], len(functions)))
+    for k, one in enumerate(functions):
+        coefficients[len(first.c) - len(one.c) :, :, k] = one.c.reshape(one.c.shape[:2])
+    return PPoly.construct_fast(coefficients, first.x, first.extrapolate)  # type: ignore[no-any-return]
 
 
 def smooth_motion(
@@ -151,7 +170,7 @@ def smooth_motion(
     :class:`SmoothMotion`.
     """
     checked_function(f'{of.capitalize()} "{name}": motion', function, "t", named="t")
-    given, function = function, _with_its_derivatives(function)
+    given, function = function, with_its_derivatives(function)
     what = f"The motion of {of}"
     asked = named(what, name, function, to_end=True)
     differenced = named(what, name, function)
