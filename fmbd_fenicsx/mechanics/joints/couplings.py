@@ -154,7 +154,7 @@ def _at_once(functions: tuple[Any, ...]) -> Callable[[float], Any] | None:
     if not plain or not all(np.array_equal(one.x, first.x) for one in functions):
         return None
     # highest powers come first; derivatives have fewer
-    coefficients = np.zeros((*first.c.shape[:2], len(functions)))
+    coefficients = np.zeros((*first.c.shape[:2], len(functions)), first.c.dtype)
     for k, one in enumerate(functions):
         coefficients[len(first.c) - len(one.c) :, :, k] = one.c.reshape(one.c.shape[:2])
     return PPoly.construct_fast(coefficients, first.x, first.extrapolate)  # type: ignore[no-any-return]
