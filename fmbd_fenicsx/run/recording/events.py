@@ -4,7 +4,7 @@ After each step the value at its end is compared with that at its start, in comp
 the record; where the sign of (value - level) has changed, the
 instant is located on the dense output of the step (:mod:`.between`) by Brent's method, to the accuracy of that polynomial. Steps
 of schemes with error control are large: there values at quarters of the step are looked at too, of all steps of a compiled call
-at once. Two crossings closer than that cancel out.
+at once, and where the quartic through these crosses between them. Two crossings in a constant step cancel out.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from scipy.optimize import brentq
 
 from ...checks import check_fields, number
 from ...errors import InputError, near, require
+from ...polynomials import lagrange_values
 from ...rotations import Array
 from ...schemes.stepping import TimeStepper
 from ...system.compiled.recording import Recorded
@@ -30,6 +31,10 @@ from .between import state_between, states_within
 from .moment import Moment
 
 QUARTERS = (0.25, 0.5, 0.75)
+PARTS = 8  # of a quarter in which its quartic is looked at
+FINE = np.linspace(0.0, 1.0, 4 * PARTS + 1)
+QUARTIC = lagrange_values(np.array([0.0, *QUARTERS, 1.0]), FINE)
+QUARTER = PARTS * np.arange(4)[:, None] + np.arange(PARTS + 1)
 ROUNDOFF = 4 * float(np.finfo(float).eps)
 
 
@@ -104,22 +109,28 @@ class EventWatch:
         may cross and come back. ``begun``: values less levels where it began. Values behind the last step are kept; collective.
         """
         assert tape.kept is not None
-        values, levels = begun[None], self.crossings["level"]
-        directions = self.crossings["direction"]
+        values, levels, unseen = begun[None], self.crossings["level"], 0
+        numbers = np.zeros(0, dtype=int)
 
         for steps in tape.kept.inside(stepper.state.t, np.array([*self.places, 1.0])):
             seen = tape.kept.told_of(states_within(steps, stepper, roundoff), steps)
             if seen is None:  # NumPy has something to say of it
-                return int(steps.number[0])
+                unseen = int(steps.number[0])
+                break
             told = [(sensor.numbers(seen, marker), column) for sensor, marker, column in self.read]
             after = np.column_stack([scale * x[:, column] for (x, scale), column in told]) - levels
-            points = np.concatenate((values[-1:], after))
-            found = _crosses(points[:-1], points[1:], directions).any(axis=1)
-            if found.any():
-                return int(steps.number[np.argmax(found)])
-            values = after
-        self.crossings["before"] = values[-1]
-        return 0
+            values, numbers = np.concatenate((values, after)), np.concatenate((numbers, steps.number))
+
+        count = len(self.places) + 1  # points of a step
+        whole = len(numbers) // count * count
+        found = _crosses(values[:-1], values[1:], self.crossings["direction"]).any(axis=1)
+        of_steps = values[np.arange(0, whole, count)[:, None] + np.arange(count + 1)]
+        found[:whole] |= np.repeat((_dips(of_steps)[0] < 0.0).any(axis=(1, 2)), count)
+        if found.any():
+            return int(numbers[np.argmax(found)])
+        if not unseen:
+            self.crossings["before"] = values[-1]
+        return unseen
 
     def passed(self, stepper: TimeStepper, told: Recorded | None) -> None:
         """Take note that nothing is met in compiled steps, but in the newest one where C has ``told`` of it."""
@@ -141,10 +152,18 @@ class EventWatch:
         # and at an impact it turns
         inner = sorted((*(before.t + x * span for x in self.places), *stepper.unwrapped.kinks))
         seen = [*(self._moment(at(t)) for t in inner), self._moment(after, told)]  # each evaluated once for all events
+        values = [self.crossings["before"].copy(), *(self._values(x) for x in seen)]
+        if self.places and not stepper.unwrapped.kinks:
+            least, where = _dips(np.array(values))
+            turns = [self._moment(at(before.t + x * span)) for x in np.unique(where[least < 0.0])]
+            known = sorted(
+                zip([*seen, *turns], [*values[1:], *map(self._values, turns)], strict=True), key=lambda x: x[0].t
+            )
+            seen, values[1:] = map(list, zip(*known, strict=True))
 
         found: list[tuple[float, int]] = []
         for k, event in enumerate(self.events):
-            points = [(before.t, float(self.crossings["before"][k])), *((x.t, self._value(k, x)) for x in seen)]
+            points = [(t, float(x[k])) for t, x in zip((before.t, *(x.t for x in seen)), values, strict=True)]
             found += [
                 (self._locate(k, at, a, b), k) for a, b in pairwise(points) if _crosses(a[1], b[1], event.direction)
             ]
@@ -178,6 +197,10 @@ class EventWatch:
         """What sensors read from; ``told``: what compiled code told of the state."""
         return Moment(self.scene, self.system, self.markers, state, 0, told)
 
+    def _values(self, now: Moment) -> Array:
+        """Values less levels of all events."""
+        return np.array([self._value(k, now) for k in range(len(self.events))])
+
     def _value(self, k: int, now: Moment) -> float:
         """Value less level of an event's sensor."""
         (name, column), event = self.columns[k], self.events[k]
@@ -187,6 +210,23 @@ class EventWatch:
             listed = ", ".join(f'"{name} {x}"' for x in labels)
             raise InputError(f'Event: sensor "{name}" has {len(read)} components. Take one of them: {listed}.')
         return float(read[column or 0]) - event.level
+
+
+def _dips(values: Array) -> tuple[Array, Array]:
+    """Of values less levels at quarters of steps, (.., 5, events): the least that the quartic through them foretells within each
+    quarter, (.., 4, events), in sizes of the side of zero where both its ends lie, and where in the step that is.
+    """
+    sides = np.sign(values)
+    side = np.where(sides[..., :-1, :] == sides[..., 1:, :], sides[..., 1:, :], 0.0)
+    paths = (QUARTIC @ values)[..., QUARTER, :] * side[..., None, :]
+    number = np.clip(paths.argmin(axis=-2), 1, PARTS - 1)[..., None, :]
+    before, least, after = (np.take_along_axis(paths, number + i, axis=-2)[..., 0, :] for i in (-1, 0, 1))
+
+    # on the parabola through the three
+    bend, rise = np.maximum(before - 2.0 * least + after, np.finfo(float).tiny), 0.5 * (after - before)
+    off = np.clip(-rise / bend, -1.0, 1.0)
+    where = (np.arange(4)[:, None] + (number[..., 0, :] + off) / PARTS) / 4
+    return least + off * (rise + 0.5 * off * bend), where
 
 
 def _crosses(before: Any, after: Any, direction: Any) -> Any:
