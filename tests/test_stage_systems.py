@@ -148,6 +148,8 @@ def test_tangents_and_solutions_are_those_of_dense_matrices(name: str, form: Any
         roundoff = 1e-6 if 2 in form.levels and field in ("by_q", "by_v") else 1e-13
         if by_laws:  # whose slopes differences of stiff efforts know worse
             roundoff = max(roundoff, 1e-5)
+        if system.evaluator.tables.whole:  # whose slopes Python tells by other differences
+            roundoff = max(roundoff, 1e-9)
         if eq.tied and field == "by_v":  # without springs NumPy sums up in another order, too
             roundoff = max(roundoff, 1e-11)
         assert getattr(found, field) == pytest.approx(values, rel=1e-13, abs=roundoff * size), field

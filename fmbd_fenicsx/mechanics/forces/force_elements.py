@@ -332,13 +332,15 @@ class TyreLoads(Loads):
         c, rate = self._compression(kin, t)
         # those that push
         on = (c > 0) & (self.stiffness * c + self.damping * rate > 0)
-        up, row = self.up, self.up.copy()  # -dc/dx
+        up, d = self.up, self.motions.dim
+        speeds = np.zeros_like(kin.x) if kin.twist is None else kin.twist[:, :d]
+        row, bend = up.copy(), np.zeros_like(up)  # -dc/dx, and by how much a place changes the road's rate
         for i in np.flatnonzero(on):
-            row[i] -= self.roads.slope(i, kin.x[self.a[i]], t)
-        d = self.motions.dim
-        n = self.motions.dim + self.motions.n_rot
-        outer = np.zeros((len(c), 2 * n, 2 * n))
-        outer[:, :d, :d] = up[:, :, None] * row[:, None, :]
-        return MarkerTangent(
-            self.markers, (on * self.stiffness)[:, None, None] * outer, (on * self.damping)[:, None, None] * outer
-        )
+            slope, bend[i] = self.roads.slopes(i, kin.x[self.a[i]], speeds[self.a[i]], t)
+            row[i] -= slope
+        n = d + self.motions.n_rot
+        K, D = np.zeros((2, len(c), 2 * n, 2 * n))
+        K[:, :d, :d] = up[:, :, None] * (self.stiffness[:, None] * row - self.damping[:, None] * bend)[:, None, :]
+        D[:, :d, :d] = up[:, :, None] * (self.damping[:, None] * row)[:, None, :]
+        active = on[:, None, None]
+        return MarkerTangent(self.markers, active * K, active * D)

@@ -52,11 +52,16 @@ class Roads:
         key = x.tobytes(), v.tobytes(), t
         return self._known(key, lambda: [self._one(i, x[i], v[i], t) for i in range(len(x))])
 
-    def slope(self, i: int, x: Array, t: float) -> Array:
-        """dz/dx (d,) under tyre i at a place x, by differences."""
+    def slopes(self, i: int, x: Array, v: Array, t: float) -> Array:
+        """dz/dx and dz'/dx, (2, d), under tyre i at a place x, by differences; the latter where rates are exact, else 0."""
+        exact = bool(self.ways.get(i)) and not AGREEMENTS
+
+        def ask(place: Array) -> Moving:
+            return self._one(i, place, v, t) if exact else (self.height(i, place, t), 0.0)
+
         step = STEP * self.radius[i]
-        found = [self.height(i, x + e, t) - self.height(i, x - e, t) for e in step * np.eye(len(x))]
-        return np.array(found) / (2.0 * step)
+        found = [np.subtract(ask(x + e), ask(x - e)) for e in step * np.eye(len(x))]
+        return np.transpose(found) / (2.0 * step)
 
     def height(self, i: int, x: Array, t: float) -> float:
         """The road under tyre i at a place x, m."""
