@@ -22,9 +22,7 @@ if TYPE_CHECKING:
 
 AIM = 0.6  # share of the tolerance below which the error of space, or of modes, is brought: its estimate is the coarser one
 WHOLE, SAFE = 0.8, 0.9  # shares that all kinds together are brought below, and must be
-ITERATED = (
-    0.2  # what Newton's iteration may take: it is known of a mean step, and the largest leave a few times as much
-)
+ITERATED = 0.2  # what Newton's iteration may take: known of a mean step, the largest leave a few times as much
 # times the room up to which an error that is told by chance is asked again, as it may be a tenth; and ratio of two such
 DOUBTED = 3.0
 UNKNOWN = ("", "-", "?")  # units that are none
