@@ -83,6 +83,23 @@ def test_orders_that_do_not_exist() -> None:
         fmbd.BDF(order=6)
 
 
+def test_few_steps_and_all_of_the_accuracy_behind_each_sample() -> None:
+    """A cart whose force is held between samples: every one is a new start, which does not climb from order 1 up."""
+
+    def run(scheme: Any) -> fmbd.Run:
+        cart = fmbd.RigidBody("cart", 1.0, 0.1)
+        rail = fmbd.prismatic("rail", fmbd.ground, cart, center=(0.0, 0.0), axis=(1.0, 0.0))
+        scene, x = fmbd.Scene("cart"), fmbd.displacement(rail)
+        scene.add(cart, rail, fmbd.joint_spring("spring", x, stiffness=30.0))
+        scene.add(fmbd.pid("pid", x, target=0.3, gains=(60.0, 40.0, 8.0), every=0.02))
+        scene.sensor("x", x)
+        return fmbd.solve(scene, t_end=1.0, scheme=scheme)
+
+    found, exact = run(fmbd.BDF(rtol=1e-6)), run(fmbd.Radau(5, rtol=1e-11))
+    assert found.counters["steps"] < 150
+    assert abs(found["x"][-1, 0] - exact["x"][-1, 0]) < 1e-7
+
+
 def test_a_restart_begins_as_a_run_does() -> None:
     """The same steps and orders follow a start and a restart at the same state."""
     system, given, _ = pendulum().build()

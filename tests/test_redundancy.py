@@ -411,7 +411,7 @@ def test_stages_of_a_tower_are_closed_whatever_its_height(scheme: Any) -> None:
         scene.sensor("end", fmbd.position(bar))
         run = fmbd.solve(scene, t_end=0.016, dt=1e-3, scheme=scheme, output=fmbd.Output(estimate_error=False))
         assert run["end"][-1, 0] - 0.5 == pytest.approx(pushed_tower(loops, 0.5, 0.016), rel=1e-3)
-        assert run.counters["jacobians"] == 1
+        assert run.counters["jacobians"] == 1 + isinstance(scheme, fmbd.BDF)  # one is Radau's, of the first step
         increments.append(run.counters["newton_iterations"])
     assert increments[1] == increments[0]
 

@@ -94,6 +94,12 @@ def collocate(system: System, rule: PointRule, q: Array, v: Array) -> None:
             loads.collocate(rule, kins)
 
 
+def divide(system: System, times: Array) -> None:
+    """Take the last step for several, which began at these times (s), the newest first."""
+    for loads in collocated(system):
+        loads.divide(times)
+
+
 def lead_memories(system: System, share: float) -> None:
     """Where a tangent of the step is taken memories answer to their rates by so much (s)."""
     for loads in collocated(system):

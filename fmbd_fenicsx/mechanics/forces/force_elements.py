@@ -141,6 +141,9 @@ class Loads:
     def collocate(self, rule: Any, kins: Sequence[Kinematics]) -> None:
         """Find the memory at the points of a step, whose markers are ``kins``, by the rule of the scheme."""
 
+    def divide(self, times: Array) -> None:
+        """Take the last step for several, which began at these times (s), the newest first."""
+
     def lead(self, share: float) -> None:
         """Where a tangent of the step is taken the memory answers to its rates by so much (s)."""
 

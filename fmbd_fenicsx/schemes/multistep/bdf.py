@@ -10,6 +10,11 @@ One Newton iteration solves with the frequency s = c_0; tangent and factor are k
 running through k + 1 past values; the same formula serves the neighbouring orders. Multipliers stay out of the error test:
 they are no part of the memory of the formula.
 
+The first steps of one size are those of Radau IIA. With error control orders climb from 1; but behind kinks and samples that
+follow each other within a few climbs Radau IIA makes two steps, the polynomials of the second of which are the past of one of
+order 3 and a third of its size, and all where fewer are left than orders to climb. (Runge-Kutta starters: Gear, ACM Trans. Math.
+Softw. 6 (1980), p. 263.)
+
 Index 3 keeps order k in all components with constant steps only; with error control GGL, or a form of lower index, is the choice.
 
 Sources: Brenan, Campbell and Petzold, doi:10.1137/1.9781611971224 (variable coefficients, error test); Hairer and Wanner, Solving
@@ -19,7 +24,7 @@ ODEs II, sections III.5 and VII.3, doi:10.1007/978-3-642-05221-7; Gear, Gupta an
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -33,17 +38,18 @@ from ...system.compiled.own_steps import OwnRoom
 from ...system.compiled.states.convergence import Convergence
 from ...system.compiled.states.stages import StageRule
 from ...system.control.memory_points import StepError
-from ...system.element_memory import memory_error
+from ...system.element_memory import divide, memory_error
 from ...system.layout import State, States
 from ...system.scene.contents import Contents
-from ...system.serialisation import worker
+from ...system.serialisation import plain, worker
 from ...system.system import System
 from ..control import StepControl, moves, turn_limit, turns_too_far
 from ..dae import GGL, Form, OfForm, Points
 from ..error_norm import check_tolerance
 from ..implicit.implicit_stepper import ImplicitStepper
 from ..newton import Newton
-from ..onestep.radau import Radau
+from ..onestep.radau import Radau, RadauStepper
+from ..stepping import Observers
 from .amplification import STABLE
 from .corrector import ALONE, NEAR, RATES, Corrector
 from .order_choice import CALM, HIGHER, LEAST, LOWER, SAFETY, WITHIN, OrderChoice
@@ -53,6 +59,7 @@ if TYPE_CHECKING:
     from ...system.compiled.kept import KeptSteps
 
 SLOW = 0.2  # rate of convergence above which the next step takes a tangent, with error control
+OUTLASTS = 3  # climbs to the highest order, each of k + 1 steps an order k, that a stretch takes to need no help
 SUDDEN = 0.05  # share of the last step below which a step is behind a bend of forces, as in bdf.c
 
 
@@ -107,7 +114,15 @@ class BDFStepper(ImplicitStepper):
     slow = 0.05
     lost = 1e-5
     iteration: Corrector
-    keeps: ClassVar = {**ImplicitStepper.keeps, "past": keep_past, "orders": worker, "_starter": worker}
+    keeps: ClassVar = {
+        **ImplicitStepper.keeps,
+        "past": keep_past,
+        "orders": worker,
+        "_starter": worker,
+        "_begins": plain(),
+        "_divides": plain(),
+        "_made_before": plain(),
+    }
 
     def __init__(self, scheme: BDF, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
         super().__init__(scheme, system, solver, newton, state)
@@ -119,41 +134,61 @@ class BDFStepper(ImplicitStepper):
         else:  # with variable ones frequencies hardly come back
             self.eq.keep_sizes(equal=True)
 
-        self._starter: Any = None
-        if not self.adaptive and scheme.order > 1:  # a Radau method makes the first steps
-            self._starter = Radau(stages=3, form=scheme.form, rtol=None).stepper(system, solver, newton, state)
+        # a Radau method makes the first steps; under error control those behind stretches that hardly outlast a climb, where its
+        # factors are cheap: up to one whose size is no guess, and all where fewer are left up to a new start than orders to climb
+        self._starter: RadauStepper | None = None
+        if scheme.order > 1 and not (self.adaptive and system.fields):
+            starter = Radau(stages=3, form=scheme.form, rtol=scheme.rtol, atol=scheme.atol)
+            self._starter = starter.stepper(system, solver, newton, state)
+            self._starter.norm = self._starter.iteration.norm = self.norm
+        self._made_before = 0
         self._begin_from(state)
 
     def _begin_from(self, state: State) -> None:
         super()._begin_from(state)
+        made = self.stats.steps + (0 if self._starter is None else self._starter.stats.steps)
+        climb = self.scheme.order * (self.scheme.order + 1) // 2
+        short = 0 < made - self._made_before < OUTLASTS * climb
         self.past = [Past(state.t, state.q, state.v, self.eq.multipliers(state))]
         self.orders.begin(1 if self.adaptive else self.scheme.order)
-        if self._starter is not None:
+        self._made_before, self._divides = made, False
+        self._begins = self._starter is not None and (short or not self.adaptive)
+        if self._starter is not None and self._begins:
             self._starter.begin_anew(lambda: state)
 
     @property
     def _starting(self) -> bool:
-        """Whether a Radau method makes the next constant step."""
-        return self._starter is not None and len(self.past) < self.scheme.order
+        """Whether a Radau method makes the next step."""
+        return self._begins if self.adaptive else self._starter is not None and len(self.past) < self.scheme.order
+
+    def take_given(self, sizes: Array) -> None:
+        """As :meth:`OwnMarch.take_given`."""
+        super().take_given(sizes)
+        if self._starter is not None:
+            self._starter.take_given(sizes)
 
     def stride(self, h: float) -> float:
         """As :meth:`TimeStepper.stride`."""
-        return float(self._starter.stride(h)) if self._starting else super().stride(h)
+        return self._starter.stride(h) if self._starter is not None and self._starting else super().stride(h)
 
     def note(self) -> bool:
         """As :meth:`TimeStepper.note`, also of the first steps, which another scheme makes."""
         starter = self._starter
-        return bool(starter.note()) if starter is not None and starter.state is self.state else super().note()
+        return starter.note() if starter is not None and starter.state is self.state else super().note()
 
     @property
     def counters(self) -> dict[str, float]:
         """As :meth:`ImplicitStepper.counters`, with the mean order of steps of its own choice."""
         made = {"mean order": self.orders.taken / self.stats.steps} if self.orders.taken else {}
-        return {**super().counters, **made}
+        begun = {} if self._starter is None else self._starter.counters
+        own = super().counters
+        return {**{name: own.get(name, 0.0) + begun.get(name, 0.0) for name in {**own, **begun}}, **made}
 
     # -- steps --------------------------------------------------------------------------------------------------
     def _controlled(self, limit: float) -> State:
         """A step of at most ``limit`` (s) that passes the error test."""
+        if self._starting:
+            return self._started(limit)
         s, orders, iteration = self.state, self.orders, self.iteration
         orders.look(s)
         farthest = turn_limit(self.system, s, steps=orders.k + 1)
@@ -208,14 +243,43 @@ class BDFStepper(ImplicitStepper):
             return self.orders.size_after_refusals(h, error)
         return self.orders.next_size(h, error, lambda order: self._error(h, p, order), len(self.past))
 
+    def _started(self, h: float) -> State:
+        """A step of size h (s), or of at most that, by a Radau method."""
+        starter = self._starter
+        assert starter is not None
+        starter.recorded = self.recorded
+        starter.bound(self.longest, self.ends)
+        guessed = len(self.past) == 1  # the size of the first step
+        self.state, self.local_error = starter.advance(h), starter.local_error
+        self._remember(self.state, starter.mult)
+        self.eq.weigh(self.state)
+        if self.adaptive:
+            assert starter.proposed is not None
+            self.proposed = starter.proposed
+            few = 0.0 < self.ends[-1] - self.state.t < self.orders.highest * self.proposed
+            self._begins = guessed or few
+            self._divides = not self._begins
+            self.past = self.past if self._begins else self.past[:1]
+        return self.state
+
+    def _made(self, h: float, count: int, most: float, observers: Observers) -> int:
+        """As that of others; the first step behind those of a Radau method has its polynomials for its past."""
+        starter = self._starter
+        if starter is not None and self._divides:
+            assert self.proposed is not None
+            self._divides = False
+            k = min(starter.scheme.stages, self.orders.highest)
+            steps, mult = starter.divided(k)
+            divide(self.system, steps.t[:, 0])
+            self.past += [Past(s.t, s.q, s.v, mult[i]) for i, s in enumerate(steps.each())]
+            self.proposed = min(self.proposed, WITHIN[1] * starter.last_size) / k
+            self.orders.begin(k)
+        return super()._made(h, count, most, observers)
+
     def _constant(self, h: float) -> State:
         """A step of size h; the first ones by a Radau method, until the past is long enough."""
         if self._starting:
-            self._starter.recorded = self.recorded
-            self.state = self._starter.advance(h)
-            self._remember(self.state, self._starter.mult)
-            self.eq.weigh(self.state)
-            return self.state
+            return self._started(h)
 
         s, order, iteration = self.state, self.scheme.order, self.iteration
         found = iteration.with_new_tangent(s, lambda: iteration.find(h, s, self.past, order))
@@ -266,7 +330,7 @@ class BDFStepper(ImplicitStepper):
 
     # -- what a march begins with -----------------------------------------------------------------------------------
     def _in_one_call(self, h: float) -> bool:
-        return not self._starting and len(self.past) > 1 and super()._in_one_call(h)
+        return not self._starting and (len(self.past) > 1 or self._divides) and super()._in_one_call(h)
 
     def _lend(self) -> ImplicitRoom:
         stages, order = self.eq.whole.room(1, 1), self.scheme.order
@@ -338,6 +402,8 @@ class BDFStepper(ImplicitStepper):
     # -- states within steps ----------------------------------------------------------------------------------------
     def between(self, t: float) -> State | None:
         """The state at a time t (s) within the last step, on the polynomials through the newest k + 1 past values."""
+        if self._starter is not None and self._starter.state is self.state:
+            return self._starter.between(t)
         count = min(self.orders.k + 1, len(self.past))
         if count < 2 or not self.past[count - 1].t <= t <= self.state.t:
             return None

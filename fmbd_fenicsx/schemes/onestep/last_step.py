@@ -38,8 +38,8 @@ class LastStep:
         mult = powers[:, :-1] @ tab.stage_basis @ self.points.mult
         return moved, self.v + basis @ (self.points.v - self.v), mult
 
-    def at(self, system: System, tab: Tableau, x: Array) -> tuple[Array, Array, Array, Array]:
-        """q, v, a and lambda at the share x of the step."""
+    def at(self, system: System, tab: Tableau, x: Array) -> tuple[Array, Array, Array, Array, Array]:
+        """q, v, a, lambda and all multipliers at the share x of the step."""
         k, points = len(tab.c), self.points
 
         # values and slopes of the polynomial through the start and the stages
@@ -48,9 +48,9 @@ class LastStep:
         values, rates = ((y @ tab.basis)[..., None, 1:] for y in (powers, slopes))
 
         change = points.v - self.v[..., None, :]
-        lam = (powers[..., None, :-1] @ tab.stage_basis @ points.mult)[..., 0, : system.n_lam]
+        mult = (powers[..., None, :-1] @ tab.stage_basis @ points.mult)[..., 0, :]
         q = system.compose(self.q, (values @ points.xi)[..., 0, :])
-        return q, self.v + (values @ change)[..., 0, :], (rates @ change)[..., 0, :], lam
+        return q, self.v + (values @ change)[..., 0, :], (rates @ change)[..., 0, :], mult[..., : system.n_lam], mult
 
 
 def keep_last(m: Memory, name: str, last: LastStep | None) -> LastStep | None:

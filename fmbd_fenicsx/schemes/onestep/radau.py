@@ -355,10 +355,24 @@ class RadauStepper(ImplicitStepper):
         if last is None:
             return None
         x = np.array(1.0 - (self.state.t - t) / last.h)
-        return self._held(last.h, State(t, *last.at(self.system, self.tab, x)))
+        return self._held(last.h, State(t, *last.at(self.system, self.tab, x)[:4]))
+
+    def divided(self, parts: int) -> tuple[States, Array]:
+        """The states at the beginnings of equal parts of the last step, the newest first, and all multipliers (parts, n_mult)."""
+        assert self._last is not None
+        last, shares = self._last, 1.0 - np.arange(1, parts + 1) / parts
+        *found, mult = last.at(self.system, self.tab, shares)
+        t = self.state.t - (1.0 - shares) * last.h
+        return self._all_held(np.full(parts, last.h), States(t[:, None], *found)), mult
+
+    @property
+    def last_size(self) -> float:
+        """Of the last step, s."""
+        assert self._last is not None
+        return float(self._last.h)
 
     def within(self, steps: KeptSteps) -> States:
         """As :meth:`TimeStepper.within`."""
         _, made = self._told(steps.own[:, WORK:])
         x = 1.0 - (steps.after.t - steps.t)[:, 0] / made.h
-        return self._all_held(made.h, States(steps.t, *made.at(self.system, self.tab, x)))
+        return self._all_held(made.h, States(steps.t, *made.at(self.system, self.tab, x)[:4]))

@@ -8,7 +8,7 @@ where no scheme says more (:mod:`.memory_points`). Before the end of the last st
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -51,6 +51,20 @@ class ControllerMemory:
     def within(self, t: float) -> Array | None:
         """z at a time (s) in the last step, which has ended; None at others."""
         return self._along(t) if self.past and self.past[0][0] <= t < self.t else None
+
+    def divided(self, times: Array) -> ControllerMemory:
+        """What is kept where the last step is taken for several, which began at these times (s), the newest first."""
+        begun = [(float(t), self._along(float(t))) for t in times]
+        return replace(self, past=(*begun, *self.past[1:])[:PAST], before=self._slope(begun[0][0]))
+
+    def _slope(self, t: float) -> Array:
+        """The rate of :meth:`_along`."""
+        (begun, z), rate = self.past[0], self.before
+        h = self.t - begun
+        x, rise = (t - begun) / h, self.z - z
+        first, last = h * rate - rise, h * self.rate - rise
+        found: Array = rise + (1.0 - x) * (1.0 - 3.0 * x) * first - x * (2.0 - 3.0 * x) * last
+        return found / h
 
     def _along(self, t: float) -> Array:
         """On the cubic through the ends of the last step."""

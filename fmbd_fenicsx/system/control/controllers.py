@@ -221,6 +221,10 @@ class ControlLoads(Loads):
             self.law.points.reach = self.spans[:1]  # z' = target - s
         self.law.collocate(rule, np.array([self.read(kin) for kin in kins]), self.places)
 
+    def divide(self, times: Array) -> None:
+        """Take the last step for several, which began at these times (s)."""
+        self.kept = self.kept.divided(times)
+
     def lead(self, share: float) -> None:
         """Where a tangent of the step is taken z answers to g by so much (s)."""
         self.law.points.lead = share
