@@ -32,13 +32,13 @@ def dependent_rows(ev: Evaluation) -> tuple[int, int]:
     if known is not None and _same_everywhere(ev, *known[:2]):
         return known[2]  # type: ignore[no-any-return]
     found = _look(ev)
-    ev.system.cache["dependent rows"] = ev.t, ev.q.copy(), found
+    note_dependent_rows(ev, found)
     return found
 
 
-def note_independent_rows(ev: Evaluation) -> None:
-    """No rows depend in a configuration: runs that begin in it need not look."""
-    ev.system.cache["dependent rows"] = ev.t, ev.q.copy(), (0, 0)
+def note_dependent_rows(ev: Evaluation, found: tuple[int, int]) -> None:
+    """What :func:`dependent_rows` has to say of a configuration: runs that begin in it need not look."""
+    ev.system.cache["dependent rows"] = ev.t, ev.q.copy(), found
 
 
 def _look(ev: Evaluation) -> tuple[int, int]:

@@ -22,7 +22,7 @@ from ..system.evaluation import Evaluation
 from ..system.layout import State, States
 from ..system.system import System
 from .blocks.field_blocks import FactoredField, FieldBlocks, Weights
-from .configuration_warnings import dependent_rows, note_independent_rows
+from .configuration_warnings import dependent_rows, note_dependent_rows
 from .core import CoreSolver
 
 MASSES = Weights(1.0, 0.0, 0.0)
@@ -83,7 +83,7 @@ class DriverSolver:
                 factored = factor.prepare(ev, 0.0, 0.0)
             self.usable = factored and (factor.independent() or not dependent_rows(ev)[1])
             if self.usable:
-                note_independent_rows(ev)
+                note_dependent_rows(ev, (0, 0))
 
     def _solves(self) -> bool:
         """Whether the driver solves: rows do not depend on each other, or are known to, for the smallest multipliers then."""

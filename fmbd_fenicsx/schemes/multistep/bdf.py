@@ -121,7 +121,7 @@ class BDFStepper(ImplicitStepper):
         "_starter": worker,
         "_begins": plain(),
         "_divides": plain(),
-        "_made_before": plain(),
+        "_steps_before": plain(),
     }
 
     def __init__(self, scheme: BDF, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
@@ -141,17 +141,23 @@ class BDFStepper(ImplicitStepper):
             starter = Radau(stages=3, form=scheme.form, rtol=scheme.rtol, atol=scheme.atol)
             self._starter = starter.stepper(system, solver, newton, state)
             self._starter.norm = self._starter.iteration.norm = self.norm
-        self._made_before = 0
+        self._begins = False  # Radau makes the next step, with error control
+        self._divides = False  # its last step is to be the past of the next one
+        self._steps_before = 0  # those made before the newest start
         self._begin_from(state)
 
     def _begin_from(self, state: State) -> None:
         super()._begin_from(state)
-        made = self.stats.steps + (0 if self._starter is None else self._starter.stats.steps)
+        made = self.stats.steps
+        if self._starter is not None:
+            made += self._starter.stats.steps
         climb = self.scheme.order * (self.scheme.order + 1) // 2
-        short = 0 < made - self._made_before < OUTLASTS * climb
+        short = 0 < made - self._steps_before < OUTLASTS * climb
+        self._steps_before = made
+
         self.past = [Past(state.t, state.q, state.v, self.eq.multipliers(state))]
         self.orders.begin(1 if self.adaptive else self.scheme.order)
-        self._made_before, self._divides = made, False
+        self._divides = False
         self._begins = self._starter is not None and (short or not self.adaptive)
         if self._starter is not None and self._begins:
             self._starter.begin_anew(lambda: state)
@@ -179,10 +185,10 @@ class BDFStepper(ImplicitStepper):
     @property
     def counters(self) -> dict[str, float]:
         """As :meth:`ImplicitStepper.counters`, with the mean order of steps of its own choice."""
-        made = {"mean order": self.orders.taken / self.stats.steps} if self.orders.taken else {}
-        begun = {} if self._starter is None else self._starter.counters
         own = super().counters
-        return {**{name: own.get(name, 0.0) + begun.get(name, 0.0) for name in {**own, **begun}}, **made}
+        begun = {} if self._starter is None else self._starter.counters
+        both = {name: own.get(name, 0.0) + begun.get(name, 0.0) for name in {**own, **begun}}
+        return {**both, "mean order": self.orders.taken / self.stats.steps} if self.orders.taken else both
 
     # -- steps --------------------------------------------------------------------------------------------------
     def _controlled(self, limit: float) -> State:
