@@ -524,7 +524,10 @@ def test_many_rows_are_looked_at_by_a_sparse_factor(height: float, monkeypatch: 
     dense = scene.check()
     monkeypatch.setattr(dependence, "FEW_ROWS", 16)
     sparse = scene.check()
-    assert dense.redundant == 24 and dense.freedom == 8
+    system, state, _ = scene.build()
+    G = dependence.scaled_jacobian(system.at(state.t, state.q))
+    assert dense.redundant == 24 == dependence._below(G, dependence.NEAR_SINGULAR) and dense.freedom == 8
+    assert sum(dense.weakest.values()) == pytest.approx(1.0)
     assert sparse.rank == dense.rank
     assert sparse.shares == pytest.approx(dense.shares, rel=1e-6)
     assert sparse.conditioning == pytest.approx(dense.conditioning, rel=1e-3)

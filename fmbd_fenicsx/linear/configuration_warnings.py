@@ -51,7 +51,7 @@ def _look(ev: Evaluation) -> tuple[int, int]:
     warn_of_ties(ev.system, found.shares)
     if not found.redundant:
         return 0, 0
-    if near := nearly_the_same(ev, found):
+    if near := nearly_the_same(found):
         log.warning("%s", near)
     return found.redundant, MORE if near or found.misfit > ALIKE else CORRECTIONS
 

@@ -28,7 +28,7 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.linalg.lapack import dpotrf, dpotrs
+from scipy.linalg.lapack import dgeqrf, dorgqr, dpotrf, dpotrs
 from scipy.sparse.linalg import eigsh, splu
 
 from ..matrices import dense, singular_values
@@ -42,6 +42,12 @@ DEPENDENT = 0.1 * SHUT  # singular values below this share of the largest belong
 NEAR_SINGULAR = 1e-6
 CERTAIN = 1e-5  # smallest over largest singular value above which a Gram matrix shows that rows are independent
 INVERSE_ITERATIONS = 4
+SYMMETRIC: dict[str, Any] = {
+    "permc_spec": "MMD_AT_PLUS_A",
+    "diag_pivot_thresh": 0.0,
+    "options": {"SymmetricMode": True},
+}
+WIDTH = 64  # columns that are made orthogonal together
 FEW_ROWS = 300  # up to which singular values are all looked at
 ROUNDOFF = 16.0 * EPS  # of G G^T, over its largest eigenvalue
 EXACT = 1e-4  # share by which that may be off
@@ -127,7 +133,8 @@ def scaled_rows(ev: Evaluation, *, evens: bool = True) -> Dependence:
     """What rows of G_s depend on each other, with (2) where they depend less then, if ``evens``."""
     G = _scaled(ev)
     found = _smallest(G)
-    if evens and found.clear < found.rows and (even := _evened(G, _frames(ev))) is not None:
+    unclear = found.rows - found.clear
+    if evens and unclear and (even := _evened(G, _frames(ev))) is not None and _below(even, NEAR_SINGULAR) < unclear:
         evened = _smallest(even)
         found = evened if evened.clear > found.clear else found
     return found
@@ -151,19 +158,23 @@ def _smallest(G: Any) -> Dependence:
     G = sp.csr_array(G)
     solve, largest = _gram(G, ROUNDOFF)
     assert solve is not None
-    V = np.random.default_rng(0).normal(size=(m, count))
-    # trace of the part of the identity that solutions are made of, which counts values of roundoff
-    count += int(1.2 * ROUNDOFF * largest * np.vdot(V, solve(V)) / count)
-
+    count += _below(G, NEAR_SINGULAR * math.sqrt(largest))
     while 2 * count < m:
-        V = np.random.default_rng(0).normal(size=(m, count))
-        for _ in range(INVERSE_ITERATIONS):
-            V = np.linalg.qr(solve(V))[0]
-        found = _found_on(G, V)
+        found = _found_on(G, inverse_iterated(solve, np.random.default_rng(0).normal(size=(m, count)))[0])
         if found.clear > m - count:
             return found
         count *= 2
     return _found_on(G, np.eye(m))
+
+
+def _below(G: Any, size: float) -> int:
+    """Singular values of G below a size, by Sylvester's law of inertia: negative pivots of G G^T - size^2; 0 where it has none."""
+    gram = sp.csr_array(G @ G.T) - size**2 * sp.eye_array(G.shape[0])
+    try:
+        factor = splu(gram.tocsc(), **SYMMETRIC)
+    except RuntimeError:  # a pivot is zero
+        return 0
+    return int((factor.U.diagonal() < 0).sum()) if np.array_equal(factor.perm_r, factor.perm_c) else 0
 
 
 def _found_on(G: Any, V: Array) -> Dependence:
@@ -226,7 +237,7 @@ def rows_are_independent(ev: Evaluation, above: float = CERTAIN, *, evens: bool 
 def _certainly(G: Any, above: float) -> bool:
     """Whether a factor tells that sigma_min / sigma_max of G is at least that."""
     solve, largest = _gram(G)
-    return solve is not None and inverse_iterated(solve, G.shape[0]) * largest < 1.0 / above**2
+    return solve is not None and inverse_bound(solve, G.shape[0]) * largest < 1.0 / above**2
 
 
 def _gram(G: Any, shift: float = 0.0) -> tuple[Callable[[Array], Array] | None, float]:
@@ -238,7 +249,7 @@ def _gram(G: Any, shift: float = 0.0) -> tuple[Callable[[Array], Array] | None, 
     if sp.issparse(gram):
         gram = gram + shift * largest * sp.eye_array(G.shape[0])
         try:
-            return splu(gram.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0).solve, largest
+            return splu(gram.tocsc(), **SYMMETRIC).solve, largest
         except RuntimeError:  # a pivot is zero
             return None, largest
     factor, fault = dpotrf(gram, lower=1)
@@ -250,19 +261,24 @@ def rows_differ(ev: Evaluation) -> bool:
     return rows_are_independent(ev, math.sqrt(ev.system.n_lam * np.finfo(float).eps))
 
 
-def inverse_iterated(solve: Callable[[Array], Array], count: int) -> float:
+def inverse_bound(solve: Callable[[Array], Array], count: int) -> float:
     """A lower bound of the largest eigenvalue of the inverse of a Gram matrix of ``count`` rows, by its factor ``solve``, or
     infinity.
     """
-    x = 1.0 + 0.5 * np.cos(np.arange(count))  # no special direction
-    inverse = 0.0
-    # each solve brings out the smallest eigenvalue more
+    return inverse_iterated(solve, 1.0 + 0.5 * np.cos(np.arange(count))[:, None])[1]  # no special direction
+
+
+def inverse_iterated(solve: Callable[[Array], Array], V: Array) -> tuple[Array, float]:
+    """Columns (n, k) behind inverse iterations, orthonormal: each brings out the smallest eigenvalues more. And how far the last one
+    made the first column grow, infinite where a number is not finite.
+    """
+    room, grown = WIDTH * V.shape[1], 0.0
     for _ in range(INVERSE_ITERATIONS):
-        x = solve(x / np.sqrt(x @ x))
-        inverse = math.sqrt(x @ x)
-        if not math.isfinite(inverse):
-            return math.inf
-    return inverse
+        reflections, scales, _, _ = dgeqrf(solve(V), lwork=room)
+        V, grown = dorgqr(reflections, scales, lwork=room)[0], abs(float(reflections[0, 0]))
+        if not math.isfinite(grown):
+            return V, math.inf
+    return V, grown
 
 
 def _port_factor(ev: Evaluation, k: int, part: Any) -> Array:

@@ -8,7 +8,7 @@ With U_0 the left vectors of singular values that count as zero, see :mod:`.depe
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -46,6 +46,7 @@ class Mobility:
         rows, rank: constraint rows and how many of them are independent. ``freedom`` = velocities - rank.
         shares: joint -> its share in the redundancy; the shares add up to ``redundant``.
         conditioning: smallest nonzero singular value of the scaled G over the largest.
+        weakest: joint -> its share in what that value is of.
         open: largest residual of the constraints as given (m).
         misfit: largest singular value over the largest of those that count as zero: by how much dependent rows differ.
         notes: what looks unusual, one sentence each.
@@ -59,6 +60,7 @@ class Mobility:
     open: float
     notes: tuple[str, ...] = ()
     misfit: float = 0.0
+    weakest: dict[str, float] = field(default_factory=dict)
 
     @property
     def freedom(self) -> int:
@@ -96,7 +98,7 @@ def mobility(ev: Evaluation) -> Mobility:
     loose, sizes = found.loose, found.sizes
     part = (found.vectors[:, :loose] ** 2).sum(1)  # the share of each row in what depends on others
     # dependence has no culprit: every row that takes part bears its share
-    shares = {b.name: float(part[b.rows].sum()) for b in system.blocks}
+    shares = _by_joint(ev, part)
     return Mobility(
         velocities,
         system.n_lam,
@@ -105,7 +107,13 @@ def mobility(ev: Evaluation) -> Mobility:
         float(sizes[loose]) if found.rank else 0.0,
         float(np.abs(ev.constraint()).max()),
         misfit=float(sizes[loose - 1]) if loose and found.rank else 0.0,
+        weakest=_by_joint(ev, found.vectors[:, loose] ** 2) if found.rank else {},
     )
+
+
+def _by_joint(ev: Evaluation, parts: Array) -> dict[str, float]:
+    """Parts of rows, (rows,), summed for each joint."""
+    return {b.name: float(parts[b.rows].sum()) for b in ev.system.blocks}
 
 
 def nearly_dependent(ev: Evaluation, rank: int, *, evens: bool = True) -> tuple[float, str]:
@@ -113,19 +121,18 @@ def nearly_dependent(ev: Evaluation, rank: int, *, evens: bool = True) -> tuple[
     smallest singular vector.
     """
     size, vector = scaled_rows(ev, evens=evens).of(rank)
-    part = {b.name: float((vector[b.rows] ** 2).sum()) for b in ev.system.blocks}
+    part = _by_joint(ev, vector**2)
     return size, max(part, key=lambda name: part[name])
 
 
-def nearly_the_same(ev: Evaluation, found: Mobility) -> str:
+def nearly_the_same(found: Mobility) -> str:
     """Which joints hold nearly the same, beside rows that depend on each other, as sentences; "" where none do.
 
     Solutions with softened rows (``algebra/factor.c``) hold rows apart that differ by more than ``CLEAR``.
     """
     if not found.redundant or not found.rank or found.conditioning >= CLEAR:
         return ""
-    vector = scaled_rows(ev).of(found.rank)[1] ** 2
-    joints = ", ".join(f'"{b.name}"' for b in ev.system.blocks if vector[b.rows].sum() > 0.1)
+    joints = ", ".join(f'"{name}"' for name, share in found.weakest.items() if share > 0.1)
     return (
         f"joints {joints} hold nearly the same: what they hold beyond each other moves by {found.conditioning:.1e} of what "
         "moves other rows. Whether this scene moves, and by which forces, hangs on that: they are up to "
@@ -228,7 +235,7 @@ def check(scene: Any, deep: bool = False) -> Mobility:
         notes.append(
             "the configuration is near-singular: constraints almost depend on each other, or a motion branches here"
         )
-    notes += [near] if (near := nearly_the_same(ev, found)) else []
+    notes += [near] if (near := nearly_the_same(found)) else []
     if found.misfit > ALIKE:
         notes.append(f"rows that differ by {found.misfit:.1e} of what moves them most count as the same")
     notes += [stiff] if (stiff := doubtful_modes(ev)) else []

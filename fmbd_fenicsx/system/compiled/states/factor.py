@@ -14,7 +14,7 @@ import numpy as np
 
 from ....kernel_cache import address_of
 from ....rotations import Array
-from ...dependence import CERTAIN, inverse_iterated
+from ...dependence import CERTAIN, inverse_bound
 from .exchange import Exchange
 
 if TYPE_CHECKING:
@@ -169,8 +169,8 @@ class DriverFactor:
         below, found = self._given.arrays[2][0], self._found.arrays[1][0]
 
         def solve(x: Array) -> Array:
-            np.multiply(size, x, out=below)
+            np.multiply(size, x[:, 0], out=below)
             states.library.driver_solve(states.address, 1, *places, self._given.at[2], *self._found.at)
-            return np.asarray(size * found)
+            return np.asarray(size * found)[:, None]
 
-        return bool(inverse_iterated(solve, len(size)) * states.tables.structure.shape.largest < 1.0 / CERTAIN**2)
+        return bool(inverse_bound(solve, len(size)) * states.tables.structure.shape.largest < 1.0 / CERTAIN**2)
