@@ -168,7 +168,7 @@ def _smallest(G: Any) -> Dependence:
 
 
 def _below(G: Any, size: float) -> int:
-    """Singular values of G below a size, by Sylvester's law of inertia: negative pivots of G G^T - size^2; 0 where it has none."""
+    """Singular values of G below a size by Sylvester's law of inertia: negative pivots of G G^T - size^2; 0 if one is 0."""
     gram = sp.csr_array(G @ G.T) - size**2 * sp.eye_array(G.shape[0])
     try:
         factor = splu(gram.tocsc(), **SYMMETRIC)
@@ -269,8 +269,8 @@ def inverse_bound(solve: Callable[[Array], Array], count: int) -> float:
 
 
 def inverse_iterated(solve: Callable[[Array], Array], V: Array) -> tuple[Array, float]:
-    """Columns (n, k) behind inverse iterations, orthonormal: each brings out the smallest eigenvalues more. And how far the last one
-    made the first column grow, infinite where a number is not finite.
+    """Columns (n, k) behind inverse iterations, orthonormal: each brings out the smallest eigenvalues more. And how far the last
+    one made the first column grow, infinite where a number is not finite.
     """
     room, grown = WIDTH * V.shape[1], 0.0
     for _ in range(INVERSE_ITERATIONS):
