@@ -210,7 +210,11 @@ class ErrorNorm(Remembering):
         """What a Newton increment may move (m) in constant steps: rtol of the accelerations, above roundoff of places."""
         s = self.system
         typical = max(s.max_abs(state.a), 1e-3 * s.max_abs(state.v) / h)
-        return max(self.rtol * h * h * typical, 64 * EPS * s.length, LEFT_OF_PLACES * farthest(s, state.q))
+        return max(self.rtol * h * h * typical, self.unknown(state))
+
+    def unknown(self, state: State) -> float:
+        """What increments of places may be roundoff of, m."""
+        return max(64 * EPS * self.system.length, LEFT_OF_PLACES * farthest(self.system, state.q))
 
 
 def _largest(u: Array, rms: Array | None) -> float:
@@ -274,6 +278,15 @@ class NormOfWays(ErrorNorm):
     def __call__(self, h: float, e_q: Array, e_v: Array, e_a: Array | None = None) -> float:
         """(1) of the base, without what frames do beside the mass of their bodies; collective."""
         return super().__call__(h, e_q if self.rigid is None else e_q - self.rigid.rest(e_q), e_v, e_a)
+
+    def update(self, state: State, h: float) -> None:
+        """As of the base; velocities of frames are known to the roundoff of places over the step: behind a start these have gone
+        too short a way to allow for it.
+        """
+        super().update(state, h)
+        unknown = self.unknown(state) / h
+        for block, unit in zip(self.sizes.blocks, (self.system.length, 1.0), strict=True):
+            self.wv[block] += unknown * unit / self.system.length
 
     def of_speeds(self, h: float, e_v: Array) -> float:
         """Errors of velocities over tolerances of their own; collective."""

@@ -474,6 +474,7 @@ typedef struct {
 /* Error control of a march: tolerances, sizes so far, and up to when steps keep their size. See control.c. */
 typedef struct {
     double rtol, atol, length, least, way, reached;
+    double unknown;                    /* what increments of places may be roundoff of, m */
     const double *origin;              /* the configuration that ways are measured from */
     long frames, core;                 /* that move, and entries like v of these and of what is no field */
     long laws;                         /* whether forces follow laws, whose stiffness may not last */

@@ -50,11 +50,12 @@ static double squares(const double *e, int n, double tolerance)
     return sum;
 }
 
-/* What an entry of an error of places, or of velocities after a step of h (0: of places), may be: see ErrorNorm.update. */
-static double allowed_error(const Control *c, double size, double fastest, double h)
+/* What an entry of an error of places, or of velocities after a step of h (0: of places), may be, where places are known to so much: see
+   NormOfWays.update. */
+static double allowed_error(const Control *c, double size, double unknown, double fastest, double h)
 {
     const double places = c->rtol * size + c->atol;
-    return h > 0.0 ? c->rtol * fastest + 1e-4 * places / h : places;
+    return h > 0.0 ? c->rtol * fastest + (1e-4 * places + unknown) / h : places;
 }
 
 /* Root mean square of the core, or that of the worst field; of frames without what they do beside the mass of their body. ``h``: as above. */
@@ -70,8 +71,8 @@ static double error_norm(const System *s, const Control *c, const double *q, con
         }
 
         for (int i = 0; i < TWIST; i++) own[i] = e[TWIST * b + i] - bent[i];
-        core += squares(own, D, allowed_error(c, share * c->length, c->faster[0], h));
-        core += squares(own + D, ROT, allowed_error(c, share, c->faster[1], h));
+        core += squares(own, D, allowed_error(c, share * c->length, c->unknown, c->faster[0], h));
+        core += squares(own + D, ROT, allowed_error(c, share, c->unknown / c->length, c->faster[1], h));
     }
 
     for (const Deflection *x = c->deflection; x < c->deflection + c->deforming; x++) {
@@ -129,6 +130,7 @@ static int judged(System *s, const double *p, Control *c, const Block *past, con
     if (verdict) return verdict;
 
     reach(c, p[H], out);
+    c->unknown = small(s, p, out->q, 0.0);
     double error = error_norm(s, c, out->q, c->e, 0.0);
     if (error <= 1.0 && c->laws && p[HISTORY] >= 1.0 && (verdict = with_speeds(s, p, c, past, out, &error))) return verdict;
     if (!(error <= 1.0)) return SIZE;
