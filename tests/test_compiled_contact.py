@@ -245,7 +245,7 @@ def test_compiled_steps_are_those_of_numpy(name: str, monkeypatch: pytest.Monkey
         assert compiled.counters[count] == numpy.counters[count], count
 
 
-def column(impacts: int) -> Any:
+def column(impacts: int, *, early: bool = True) -> Any:
     """Three balls on each other over a floor, not quite above each other, in a groove: impacts go up and down, and accumulate."""
     scene = fmbd.Scene("column", gravity=(0, -9.81))
     balls = [fmbd.RigidBody(f"{i}", 1.0, 0.004, (0.01 * (i % 2), 0.13 + 0.23 * i)) for i in range(3)]
@@ -261,19 +261,19 @@ def column(impacts: int) -> Any:
         scene.sensor(f"place {ball.name}", fmbd.position(ball))
     scene.sensor("work", fmbd.contact_work())
     output = fmbd.Output(every=4, progress=False)
-    return fmbd.solve(scene, t_end=0.15, dt=2e-3, scheme=fmbd.Moreau(impacts=impacts), output=output)
+    return fmbd.solve(scene, t_end=0.15, dt=2e-3, scheme=fmbd.Moreau(impacts=impacts, early=early), output=output)
 
 
-@pytest.mark.parametrize("impacts", [0, 1, 20])
+@pytest.mark.parametrize(("impacts", "early"), [(0, True), (1, True), (20, True), (20, False)])
 def test_impacts_that_accumulate_and_classical_steps_are_compiled(
-    impacts: int, monkeypatch: pytest.MonkeyPatch
+    impacts: int, early: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A contact whose later impacts are all over within a step comes to rest; the rest of a step with too many is classical, with
-    those closed that would pass through.
+    """A contact whose later impacts are all over within a step, or what is left of it, comes to rest; the rest of a step with too
+    many is classical, with those closed that would pass through.
     """
-    compiled = column(impacts)
+    compiled = column(impacts, early=early)
     in_numpy(monkeypatch)
-    numpy = column(impacts)
+    numpy = column(impacts, early=early)
     assert compiled.counters["compiled_steps"] == compiled.counters["steps"]
     for count in ("impacts", "accumulations", "contact_steps", "newton_iterations"):
         assert compiled.counters[count] == numpy.counters[count], count

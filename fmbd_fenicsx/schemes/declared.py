@@ -31,6 +31,7 @@ class Declared:
     trapezoidal rule.
     ``looks_ahead``: under error control it looks for loads that come within a step before it tries one.
     ``carries_accelerations``: those of a step are told by those of the step before.
+    ``early``: bodies rest before the last of their impacts, where these are over within a step, and may do otherwise.
     ``timeless``: no scheme in time at all, as the pictures of a mode. ``compiled``: whether compiled code may evaluate.
     """
 
@@ -50,6 +51,7 @@ class Declared:
     finds_memories: bool = False
     looks_ahead: bool = False
     carries_accelerations: bool = False
+    early: bool = False
     timeless: bool = False
     compiled: bool = True
 

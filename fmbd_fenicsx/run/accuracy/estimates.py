@@ -27,6 +27,7 @@ from .certificate import HIDDEN, kinked, stated_of, uncertain_of
 from .companion_runs import UNFIT, Compared, as_recorded, companion
 from .damped import damped_vibrations
 from .deviation import Deviation, scaled
+from .early_rest import with_early_rest
 from .equal_steps import equal_steps_error
 from .jumps_in_time import jumps_about_kinks
 from .orders import expected_orders, seen_by_ends
@@ -303,7 +304,8 @@ def state_errors(run: Run, problem: Problem, made: Compared, output: Output) -> 
             problem, made = tight
             found = equal_steps_error(problem, made, jumps, kinked=has_kinks)
 
-        errors, run.damped = with_damped(found.errors, damped_vibrations(problem, made.schedule))
+        errors = with_early_rest(found.errors, problem, made)
+        errors, run.damped = with_damped(errors, damped_vibrations(problem, made.schedule))
         run.deviations["time"] = errors
         run.observed_order, run.halved, run.alone, made = found.orders, found.halved, found.unseen, found.with_others
         run.seconds["error estimate"] = clock.perf_counter() - ended

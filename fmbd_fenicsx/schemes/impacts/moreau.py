@@ -48,10 +48,13 @@ if TYPE_CHECKING:
 class Moreau:
     """Scheme data; restitution and friction belong to the contacts. Equations (1) to (3).
 
-    ``impacts``: how many impacts of a step happen at their own times; 0 is classical time stepping.
+    ``impacts``: how many impacts of a step happen at their own times; 0 is classical time stepping. ``early``: contacts rest as
+    soon as their later impacts are over within one step; else when they are over at the end of the step they are in, so that no
+    end of a step is off by flights that are left out, at 20 to 45 % more in heaps.
     """
 
     impacts: int = 20
+    early: bool = True
     order = 1
     name = "Moreau-Jean"
 
@@ -81,12 +84,12 @@ class Moreau:
         """Time stepper from a consistent state: compiled where the driver knows bodies, forces and contacts."""
         from .compiled.driver import contact_driver
 
-        driver = contact_driver(system, redundant=solver.core.redundant, impacts=self.impacts)
+        driver = contact_driver(system, self, redundant=solver.core.redundant)
         if driver is None:
             from .moreau_stepper import MoreauStepper
 
-            return MoreauStepper(system, solver, newton, state, self.impacts)
+            return MoreauStepper(system, solver, newton, state, self)
 
         from .compiled.stepper import CompiledMoreauStepper
 
-        return CompiledMoreauStepper((system, solver, newton, state), self.impacts, driver)
+        return CompiledMoreauStepper((system, solver, newton, state), self, driver)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from copy import copy
 from dataclasses import replace
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -29,6 +29,9 @@ from .contact_stepper import ContactStepper
 from .moreau_step import MoreauStep
 from .slip_turns import won_behind_stops
 
+if TYPE_CHECKING:
+    from .moreau import Moreau
+
 # length of an impact, as a share of the step; gap of a closed contact, as a share of the model's length
 IMPACT, TOUCH = constants("impacts/flights.c", "INSTANT", "TOUCHING")
 DRIFT = 1e-5  # the same of a contact that carries a force: positions of closed contacts drift by O(h^3) a step
@@ -47,12 +50,12 @@ class MoreauStepper(ContactStepper):
         **dict.fromkeys(("located", "accumulations"), plain()),
     }
 
-    def __init__(self, system: System, solver: StepSolver, newton: Newton, state: State, impacts: int) -> None:
+    def __init__(self, system: System, solver: StepSolver, newton: Newton, state: State, rule: Moreau) -> None:
         super().__init__(system, solver, newton, state)
         self._joints = any(b.kind != "frame" for b in system.blocks)
         self.carried = np.zeros_like(self.ledger.force)  # forces of contacts in the last flight
         self.carrying = np.zeros(len(self.carried), dtype=bool)  # contacts with a force that is no impact
-        self.impacts, self.located, self.accumulations = impacts, 0, 0
+        self.rule, self.located, self.accumulations = rule, 0, 0
         self._stations: list[State] = []
         self._pressing: Array = state.a  # accelerations of the last flight
 
@@ -78,7 +81,7 @@ class MoreauStepper(ContactStepper):
 
         try:
             while end - self.state.t > 2 * IMPACT * h:
-                part = self._part(end - self.state.t, h, rested, classical=parts >= 2 * self.impacts)
+                part = self._part(end - self.state.t, h, rested, classical=parts >= 2 * self.rule.impacts)
                 self._take(part)
                 self._stations.append(self.state)
                 if part.h > 2 * IMPACT * h and end - self.state.t > 2 * IMPACT * h:
@@ -139,7 +142,7 @@ class MoreauStepper(ContactStepper):
 
         hit = rate < -slow
         if hit.any():
-            return self._impact(h, rested, hit, touching)
+            return self._impact((left, h), rested, hit, touching)
         closed = touching & (rate <= slow)
         above = (gap > TOUCH * system.length) & (gap <= DRIFT * system.length)
         bouncing = np.zeros_like(closed)
@@ -148,9 +151,9 @@ class MoreauStepper(ContactStepper):
         taking = closed
         while True:
             step = self._solved(left, taking, bouncing)
-            if (more := self._slow_touches(step, above & ~taking)).any():
-                bouncing = bouncing | (more & ~self._accumulate(more, step, h))
-                taking = taking | more
+            more, rests = self._slow_touches(step, above & ~taking, h)
+            if more.any():
+                bouncing, taking = bouncing | (more & ~rests), taking | more
                 continue
 
             share, which, held = self._next_touch(step, ~taking)
@@ -159,7 +162,7 @@ class MoreauStepper(ContactStepper):
             # an impact: of bodies in joints flights end at the touch, and closed at its speed a contact would end far below zero
             hit = self._rates(held, (s.t, s.q, s.v), h) < -(slow if self._joints else DEEP * system.length / h)
             if hit.any():
-                return self._impact(h, rested, hit, closed | hit)
+                return self._impact((left, h), rested, hit, closed | hit)
             closed, taking = closed | held, taking | held
         flight = step if share == 1.0 else self._located(step, share, which)
         if (won := won_behind_stops(flight, slow)) is None:
@@ -174,32 +177,28 @@ class MoreauStepper(ContactStepper):
         """A step of length h (s) from the present state, its impulses first those of the last flight."""
         return MoreauStep(self, h, h * self.carried[closed], (closed, bouncing), span=span)
 
-    def _slow_touches(self, step: MoreauStep, above: np.ndarray) -> np.ndarray:
-        """Contacts (m,) of those right ``above`` their obstacle that end a step in it, by less than closed ones drift.
+    def _slow_touches(self, step: MoreauStep, above: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
+        """Contacts (m,) of those right ``above`` their obstacle that end a step in it, by less than closed ones drift; and those
+        that come to rest.
 
-        They take part in all of it, with their impact, and need no time of their own.
+        They take part in all of it, with their impact, and need no time of their own; where contacts do not rest ``early`` only
+        those do whose impacts are over when it ends.
         """
-        if not above.any():
-            return above
-        end = self._gap_along(step, 1.0)
-        return above & (end < 0.0) & (end >= -DRIFT * self.system.length)
+        s, end = self.state, self._gap_along(step, 1.0) if above.any() else np.zeros(len(above))
+        slow = above & (end < 0.0) & (end >= -DRIFT * self.system.length)
+        if not slow.any():
+            return slow, slow
 
-    def _accumulate(self, chosen: np.ndarray, step: MoreauStep | None, h: float) -> np.ndarray:
-        """Which of the chosen contacts (m,), hit at the end of a step (None: now), have all later impacts within a time h (s).
-
-        Flights between them, each e times as long as the one before, take 2 e u / (1 - e) / a: u is the speed of the impact,
-        and a the acceleration that the last flight presses with.
-        """
-        s = self.state
-        at, pressing = (s.t, s.q, s.v), self._pressing
-        if step is not None:
-            way = step.h * (s.v + 0.5 * (step.v - s.v))
-            at, pressing = (s.t + step.h, self.system.compose(s.q, way), step.v), (step.v - s.v) / step.h
-
-        rows, rate = self._rows_and_rates(chosen, at, h)
-        e, out = rows.restitution, np.zeros_like(chosen)
-        out[chosen] = -2.0 * e * rate <= -(1.0 - e) * h * self.contacts.times(self.system, rows.N, pressing)
-        return out
+        way = step.h * (s.v + 0.5 * (step.v - s.v))
+        at = s.t + step.h, self.system.compose(s.q, way), step.v
+        rows, rate = self._rows_and_rates(slow, at, h)
+        pull, time = self.contacts.times(self.system, rows.N, (step.v - s.v) / step.h), np.full(len(rate), h)
+        if not self.rule.early:  # touched on the way, since when some time has gone
+            last, rate = rate, -np.sqrt(np.maximum(rate**2 - 2.0 * pull * end[slow], 0.0))
+            time = np.divide(last - rate, pull, out=np.zeros_like(rate), where=pull < 0.0)
+        rests = np.zeros_like(slow)
+        rests[slow] = _over(rows.restitution, rate, pull, time)
+        return (slow if self.rule.early else rests), rests
 
     def _classical(self, left: float) -> MoreauStep:
         """The rest of a step by classical time stepping.
@@ -213,15 +212,21 @@ class MoreauStepper(ContactStepper):
         while True:
             step = self._solved(left, closed, np.ones_like(closed))
             through = ~closed & (self._gap_along(step, 1.0) < -DRIFT * system.length)
-            if not self.impacts or not through.any():
+            if not self.rule.impacts or not through.any():
                 return step
             closed = closed | through
 
-    def _impact(self, h: float, rested: np.ndarray, hit: np.ndarray, touching: np.ndarray) -> MoreauStep:
-        """A step of almost no length through the impacts of the contacts ``hit``; those that accumulate are told once a step."""
-        contacts = self.contacts
+    def _impact(
+        self, lengths: tuple[float, float], rested: np.ndarray, hit: np.ndarray, touching: np.ndarray
+    ) -> MoreauStep:
+        """A step of almost no length through the impacts of the contacts ``hit``; those that accumulate are told once a step.
+        ``lengths``: what is left of the step, and all of it, s.
+        """
+        s, contacts, (left, h) = self.state, self.contacts, lengths
         self.located += int(hit.sum())
-        rests = self._accumulate(hit, None, h)
+        rows, rate = self._rows_and_rates(hit, (s.t, s.q, s.v), h)
+        pull, rests = contacts.times(self.system, rows.N, self._pressing), np.zeros_like(hit)
+        rests[hit] = _over(rows.restitution, rate, pull, h if self.rule.early else left)
         for i in np.flatnonzero(rests & ~rested):
             if contacts.pairs[contacts.pair[i]].restitution > 0.0:
                 self.accumulations += 1
@@ -350,3 +355,10 @@ class MoreauStepper(ContactStepper):
         end = self.system.at(t, q, v)
         dv, _ = self.solver.solve(np.zeros(self.system.n_v), -(end.jacobian.times(v) + end.constraint_rate()))
         return v + dv
+
+
+def _over(restitution: Array, rate: Array, acceleration: Array, time: float | Array) -> np.ndarray:
+    """Whether all later impacts of contacts that are hit at a ``rate`` (m/s, below zero) are over within a time (s): flights
+    between them, each e times as long as the one before, take 2 e u / (1 - e) / a, here of their gaps (m/s^2).
+    """
+    return np.asarray(-2.0 * restitution * rate <= -(1.0 - restitution) * time * acceleration)

@@ -32,6 +32,7 @@ from ..certificate import FLOOR, Certificate, moving, stated_of
 from ..companion_runs import UNFIT, Compared
 from ..damped import damped_vibrations
 from ..deviation import Deviation
+from ..early_rest import with_early_rest
 from ..equal_steps import Orders, TimeError, astray, between, known_orders
 from ..estimates import usual_errors, warn_of_uncertain, with_damped
 from .dear_attempt import tell_of_dear_attempt
@@ -323,9 +324,11 @@ def _first(scene: Scene, scheme: Any, t_end: float, dt: float | None) -> Attempt
 
 def _default(scene: Scene, t_end: float) -> Any:
     """The usual scheme of a scene; where loads jump at break points on the way, it chooses its steps: a jump within a step leaves
-    an error that depends on where it falls, and that other steps of equal size do not tell.
+    an error that depends on where it falls, and that other steps of equal size do not tell. So does early rest.
     """
     scheme = default_scheme(scene)
+    if Declared.by(scheme).early:
+        return replace(scheme, early=False)
     jumps = any(0.0 < t < t_end for t in scene.breakpoints)
     return replace(scheme, rtol=LOOSEST) if jumps and isinstance(scheme, GeneralizedAlpha) else scheme
 
@@ -402,7 +405,10 @@ def _time_error(plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, solved:
     allowed = Allowed(tuple(tol), share_of, room, rough=alone or looked, last=not too_coarse)
     found = shared.time_error(solved, plan.orders, allowed) if plan.steps else shared.tolerance_error(solved, allowed)
     if plan.steps:
-        errors, run.damped = with_damped(found.errors, damped_vibrations(solved.problem, solved.compared.schedule))
+        errors, problem, given = found.errors, solved.problem, solved.compared
+        if allowed.nearly_lets(errors):
+            errors = with_early_rest(errors, problem, given)
+        errors, run.damped = with_damped(errors, damped_vibrations(problem, given.schedule))
         found = replace(found, errors=errors)
     run.deviations["time"] = found.errors
     run.observed_order, run.halved = found.orders, found.halved

@@ -43,6 +43,7 @@ from .trees import trees_of
 if TYPE_CHECKING:
     from ....system.compiled.tape import Openness, Tape
     from ...newton import Newton
+    from ..moreau import Moreau
 
 BOUNDED = slots.AM
 MOST = 1024  # contacts closed at once: a step with more is NumPy's
@@ -68,8 +69,8 @@ def whole_numbers(address: int, size: int) -> np.ndarray:
 class ContactDriver(PairTables):
     """The driver for one system with contact: tables, calls into Python, and three states in turn."""
 
-    def __init__(self, system: System, plain: System, library: Any, impacts: int, *, redundant: int) -> None:
-        self.impacts, self.accumulations = impacts, 0
+    def __init__(self, system: System, plain: System, library: Any, rule: Moreau, *, redundant: int) -> None:
+        self.rule, self.accumulations = rule, 0
         self.unsolved: ConvergenceError | None = None  # why forces of the last step were not found
         self.library, pairs = library, system.contacts.pairs
         stops = [pair.relative for pair in pairs if isinstance(pair, LimitPair)]
@@ -106,7 +107,7 @@ class ContactDriver(PairTables):
             "rows": 2 * (rows + k) * wide, "Y": rows * self.n, "push": self.n + self.m, "open": rows, "old": rows,
             "turns": self.tables.nb * d * d, "least": (41 + 4 * k) * rows, "ahead": self.nq, "xi": self.n, "still": self.n,
             "kept": self.m + 1, "own": m * (1 + 2 * d),
-            "saved": m * k + len(contacts.pairs) * d + 7, "rested": m, "path": (2 * self.impacts + 2) * block_size(s),
+            "saved": m * k + len(contacts.pairs) * d + 7, "rested": m, "path": (2 * self.rule.impacts + 2) * block_size(s),
         }  # fmt: skip
         counts = {"carrying": m, "closed": m, "bouncing": m, "hits": 2 * m, "was": m, "candidate": m, "known_of": room}
         counts |= {"states": 2 * room, "near": len(contacts.pairs), "listed": len(contacts.pairs)}
@@ -121,7 +122,8 @@ class ContactDriver(PairTables):
             of=self._array("of", contacts.pair, np.int32), place=self._array("place", place),
             **{name: self._zeros(name, size, np.int32) for name, size in counts.items()},
             now=self._touch("now", m, d), end=self._touch("end", m, d), aside=self._touch("aside", m, d),
-            loaded=int(bool(s.forces)), size=self.n, most=2 * self.impacts, system=ctypes.addressof(self.tables.c),
+            loaded=int(bool(s.forces)), size=self.n, most=2 * self.rule.impacts, early=int(self.rule.early),
+            system=ctypes.addressof(self.tables.c),
             **places,
         )  # fmt: skip
 
@@ -224,7 +226,9 @@ class ContactDriver(PairTables):
         if self._tape is None:
             about = self.tables, judged, self.contacts, self.system
             within = ContactTape(*about)
-            kept = Kept(self.library, self.tables, self.calls, within, own=within.numbers, parts=2 * self.impacts + 1)
+            kept = Kept(
+                self.library, self.tables, self.calls, within, own=within.numbers, parts=2 * self.rule.impacts + 1
+            )
             self._tape = ContactTape(*about, kept)
         return self._tape
 
@@ -255,8 +259,8 @@ class ContactDriver(PairTables):
         return numbers(now.gap, m).copy(), places, normals
 
 
-def contact_driver(system: System, *, redundant: int, impacts: int) -> ContactDriver | None:
-    """The driver for a system with contact and so many impacts a step, or None where the NumPy path has to do."""
+def contact_driver(system: System, rule: Moreau, *, redundant: int) -> ContactDriver | None:
+    """The driver for a system with contact under a rule for impacts, or None where the NumPy path has to do."""
     contacts = system.contacts
     if system.fields:
         return None
@@ -266,4 +270,4 @@ def contact_driver(system: System, *, redundant: int, impacts: int) -> ContactDr
     if speed_rows(plain).size:
         return None
     library = driver_of(plain, CONTACT)
-    return None if library is None else ContactDriver(system, plain, library, impacts, redundant=redundant)
+    return None if library is None else ContactDriver(system, plain, library, rule, redundant=redundant)

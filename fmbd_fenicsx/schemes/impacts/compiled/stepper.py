@@ -24,6 +24,7 @@ from .structures import Tally
 if TYPE_CHECKING:
     from ....system.compiled.kept import KeptSteps
     from ....system.compiled.tape import Openness, Tape
+    from ..moreau import Moreau
 
 
 class CompiledMoreauStepper(CompiledSteps, MoreauStepper):
@@ -32,10 +33,10 @@ class CompiledMoreauStepper(CompiledSteps, MoreauStepper):
     compiled_whole = True
     path = "compiled (bodies, joints, forces and contacts in C; NumPy for the start and for steps it gives back)"
 
-    def __init__(self, data: tuple[System, StepSolver, Newton, State], impacts: int, driver: ContactDriver) -> None:
+    def __init__(self, data: tuple[System, StepSolver, Newton, State], rule: Moreau, driver: ContactDriver) -> None:
         self.driver, self.compiled = driver, 0
         self._tail: State | None = None  # the state that the driver's block holds
-        super().__init__(*data, impacts)
+        super().__init__(*data, rule)
 
     @property
     def counters(self) -> dict[str, float]:

@@ -124,6 +124,7 @@ typedef struct {
     double *own;                              /* for Python: places of the points in a shape's axes, distances, gradients */
     int size, most, done, total;              /* of v; impacts' parts of a step; iterations of a part and of the parts of a step */
     int parts, flown;                         /* of the last step; where the last flight of it led to */
+    int early;                                /* whether contacts rest as soon as impacts are over within a step, see moreau.py */
     System *system;
     Tally tally;
     int (*python)(int what, int number, double t);

@@ -85,24 +85,25 @@ static int passes(Contacts *c, Block now, double h)
 /* Where the state after so many parts of a step is kept. */
 static double *station(const System *s, const Contacts *c, int parts) { return c->path + parts * (1 + s->nq + 3 * s->nv + s->rows); }
 
-/* Whether all later impacts of contact i, which hits at a rate, are over within a step: its flights, each e times as long as the one
-   before, take 2 e u / (1 - e) / a under an acceleration. ``row``: of its gap. */
-static int accumulates(const Contacts *c, int i, const double *row, const double *a, double rate, double h)
+/* Whether all later impacts of contact i, which hits at a rate, are over within a time: its flights, each e times as long as the one
+   before, take 2 e u / (1 - e) / a under an acceleration, here of its gap. */
+static int accumulates(const Contacts *c, int i, double acceleration, double rate, double time)
 {
     const double e = c->pair[c->of[i]].restitution;
-    return -2.0 * e * rate <= -(1.0 - e) * h * along(c, i, row, a);
+    return -2.0 * e * rate <= -(1.0 - e) * time * acceleration;
 }
 
 /* A part of almost no length through the impacts of those that bounce; m contacts take part. One whose impacts accumulate comes to rest. */
-static int impact(System *s, Contacts *c, double *p, Block now, Block out, int m, double h)
+static int impact(System *s, Contacts *c, double *p, Block now, Block out, int m, double left, double h)
 {
+    const double time = c->early ? h : left;
     const double *pressing = block_at(s, station(s, c, c->flown)).a;
     for (int k = 0; k < c->candidates; k++) {
         const int i = c->candidate[k];
         if (!c->bouncing[i]) continue;
         c->tally.impacts++;
         contact_rows(c, i, now.q, &c->now, c->rows);
-        c->bouncing[i] = !accumulates(c, i, c->rows, pressing, along(c, i, c->rows, now.v) + c->rate[i], h);
+        c->bouncing[i] = !accumulates(c, i, along(c, i, c->rows, pressing), along(c, i, c->rows, now.v) + c->rate[i], time);
         if (!c->bouncing[i] && !c->hits[i] && c->pair[c->of[i]].restitution > 0.0) c->hits[i] = 1, c->rested[i] = *now.t;
     }
     int verdict = solved(s, c, p, now, out, m, INSTANT * h, h);
@@ -141,7 +142,8 @@ static int holding(System *s, Contacts *c, double *p, Block now, int m, double h
 }
 
 /* Contacts that a flight brings from above their obstacle into it, by less than closed ones drift: they take part in all of it, with
-   their impact, and need no time of their own. How many more take part then, or -1 where Python failed. */
+   their impact, and need no time of their own; not ``early`` only those whose impacts are over then. How many more take part, or -1
+   where Python failed. */
 static int slow_touches(System *s, Contacts *c, double *p, Block now, Block out, int m, double length, double h)
 {
     const double near = DRIFTING * p[LENGTH];
@@ -161,12 +163,21 @@ static int slow_touches(System *s, Contacts *c, double *p, Block now, Block out,
     /* rates of moving obstacles take the place of gaps */
     if (gap_rates(c, c->ahead, *now.t + length, h, c->rate) || along_parabola(s, c, now, out, length, 1.0)) return -1;
     for (int i = 0; i < s->nv; i++) out.a[i] = (out.v[i] - now.v[i]) / length;
+    int kept = 0;
     for (int k = m; k < m + more; k++) {
         const int i = c->closed[k];
         contact_rows(c, i, c->ahead, &c->aside, row);
-        c->bouncing[i] = !accumulates(c, i, row, out.a, along(c, i, row, out.v) + c->rate[i], h);
+        double rate = along(c, i, row, out.v) + c->rate[i], time = h;
+        const double pull = along(c, i, row, out.a);
+        if (!c->early) {
+            const double last = rate;
+            rate = -sqrt(fmax(last * last - 2.0 * pull * c->aside.gap[i], 0.0));
+            time = pull < 0.0 ? (last - rate) / pull : 0.0;
+        }
+        c->bouncing[i] = !accumulates(c, i, pull, rate, time);
+        if (c->early || !c->bouncing[i]) c->closed[m + kept++] = i;
     }
-    return more;
+    return kept;
 }
 
 /* The rest of a step by classical time stepping: contacts closed in the middle, and after many impacts those that would else end in
@@ -211,7 +222,7 @@ static int part(System *s, Contacts *c, double *p, Block now, Block out, double 
     if (many) return classical(s, c, p, now, out, left, h);
     int m = taking_part(c, p, now, h, &hit);
     if (m < 0) return LOOK;
-    if (hit) return impact(s, c, p, now, out, m, h);
+    if (hit) return impact(s, c, p, now, out, m, left, h);
 
     for (;;) {
         if ((verdict = solved(s, c, p, now, out, m, length, length))) return verdict;
@@ -224,7 +235,7 @@ static int part(System *s, Contacts *c, double *p, Block now, Block out, double 
         if ((verdict = next_touch(s, c, p, now, out, m, length, &share, &which, &held))) return verdict;
         if (!held) break;
         if ((m = holding(s, c, p, now, m, h, &hit)) < 0) return LOOK;
-        if (hit) return impact(s, c, p, now, out, m, h);
+        if (hit) return impact(s, c, p, now, out, m, left, h);
     }
     if (share < 1.0 && (verdict = located(s, c, p, now, out, m, which, &length, share))) return verdict;
     if ((verdict = turned(s, c, p, now, out, m, length, APPROACH * p[LENGTH] / h))) return verdict;
