@@ -192,7 +192,8 @@ class MoreauStepper(ContactStepper):
         way = step.h * (s.v + 0.5 * (step.v - s.v))
         at = s.t + step.h, self.system.compose(s.q, way), step.v
         rows, rate = self._rows_and_rates(slow, at, h)
-        pull, time = self.contacts.times(self.system, rows.N, (step.v - s.v) / step.h), np.full(len(rate), h)
+        pull: Array = self.contacts.times(self.system, rows.N, (step.v - s.v) / step.h)
+        time: Array = np.full(len(rate), h)
         if not self.rule.early:  # touched on the way, since when some time has gone
             last, rate = rate, -np.sqrt(np.maximum(rate**2 - 2.0 * pull * end[slow], 0.0))
             time = np.divide(last - rate, pull, out=np.zeros_like(rate), where=pull < 0.0)
