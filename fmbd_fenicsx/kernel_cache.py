@@ -16,6 +16,7 @@ import shutil
 import stat
 import subprocess
 import tempfile
+import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cache
@@ -28,6 +29,7 @@ FLAGS = ("-O3", "-ffp-contract=off", "-shared", "-fPIC", "-std=c99")
 PATIENCE = 120.0  # s that a compiler may take
 PRIVATE = 0o700
 OTHERS = stat.S_IWGRP | stat.S_IWOTH
+_ONE_BUILDS = threading.Lock()  # threads of a process wait for each other; processes may build the same side by side
 _BYTE: Any = ctypes.c_char.from_buffer
 _NO_BYTES: Any = (ctypes.c_char * 0).from_buffer
 
@@ -127,8 +129,9 @@ def load_library(library: Library, *, beside: Sequence[Library] = ()) -> ctypes.
     try:
         folder, notes = _folders()
         file = library.file(folder, command)
-        if not _as_noted(file, notes):
-            _Building(folder, notes, command).make([library, *beside])
+        with _ONE_BUILDS:
+            if not _as_noted(file, notes):
+                _Building(folder, notes, command).make([library, *beside])
         return ctypes.CDLL(str(file))
     except (OSError, subprocess.SubprocessError) as error:
         note(

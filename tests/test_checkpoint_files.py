@@ -69,6 +69,18 @@ def test_two_are_kept_and_the_newest_is_taken(tmp_path: Path) -> None:
     assert np.array_equal(again["tip"], first["tip"]) and again.counters["steps"] == 5
 
 
+def test_a_run_that_an_event_ended_is_not_taken_past_it(tmp_path: Path) -> None:
+    """Started again, it meets the same event; without it, it goes on."""
+    low = fmbd.Output(events=[fmbd.Event("tip y", -0.15)])
+    first = run(tmp_path, t_end=1.0, output=low)
+    again = run(tmp_path, t_end=1.0, output=low, restart=tmp_path)
+    assert first.status == again.status == "ended by an event"
+    assert np.array_equal(again.times, first.times) and np.array_equal(again["tip"], first["tip"])
+    assert again.state.t == first.state.t and again.counters["steps"] == first.counters["steps"]
+    longer = run(tmp_path, t_end=1.0, restart=tmp_path)
+    assert np.array_equal(longer["tip"], run(tmp_path / "whole", t_end=1.0)["tip"])
+
+
 def test_a_run_can_be_made_longer(tmp_path: Path) -> None:
     run(tmp_path)
     longer = run(tmp_path, restart=tmp_path, t_end=0.1)

@@ -59,6 +59,20 @@ def test_a_first_compile_is_said_once(folders: tuple[Path, Path]) -> None:
     assert again == ""
 
 
+def test_threads_build_once(folders: tuple[Path, Path]) -> None:
+    """One that found half a note took NumPy, beside others whose tables held addresses of the library."""
+    code = f"""
+from concurrent.futures import ThreadPoolExecutor
+from fmbd_fenicsx import kernel_cache as k
+with ThreadPoolExecutor(8) as pool:
+    print(*pool.map(lambda _: k.load("test", {SOURCE % 5!r}).value(), range(8)))
+"""
+    count = "made = []; run = k._Building._run; k._Building._run = lambda self, c: (made.append(c), run(self, c))\n"
+    code = code.replace("with Thread", count + "with Thread") + "print(len(made))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == [*"55555555", "2"]  # compiled and linked
+
+
 def test_units_are_compiled_once_for_several_libraries(folders: tuple[Path, Path]) -> None:
     """A library of two units, then one that has the first of them and another; an object that was changed is made again."""
     code = (

@@ -70,6 +70,32 @@ def test_failures_are_kept_beside_the_others() -> None:
         fmbd.study.map(make, [-1.0, -2.0], keep_failures=True, **settings)["tip"]
 
 
+def test_what_a_function_of_an_output_remembers_is_of_all_variants() -> None:
+    lengths, seen, steps = [1.0, 0.5, 2.0, 0.7], [], []
+    below = fmbd.Event("tip y", -0.1, direction=-1, then=lambda now: seen.append(now.t))
+    found = fmbd.study.map(pendulum, lengths, t_end=0.3, dt=1e-2, output=fmbd.Output(events=[below]))
+    assert len(seen) == 4 and len(set(seen)) == 4
+    assert [variant.status for variant in found] == 4 * ["finished"]
+    fmbd.study.map(
+        pendulum, lengths, t_end=0.3, dt=1e-2, output=fmbd.Output(on_step=lambda now: steps.append(now.step))
+    )
+    assert steps == 4 * [*range(1, 31)]
+
+
+def test_variants_say_what_they_state_of_their_errors_and_what_they_have_not() -> None:
+    settings: dict[str, Any] = {"t_end": 0.3, "dt": 1e-2, "tol": {"tip": 1e-4}}
+    found = fmbd.study.map(pendulum, [1.0, 0.5, 2.0], **settings)
+    for variant in found:
+        stated = fmbd.solve(pendulum(variant.parameter), **settings).certificate
+        assert variant.certificate.statements == stated.statements and stated["tip"].total < 1e-4
+        assert variant.warnings == ()
+    assert fmbd.study.map(pendulum, [1.0], t_end=0.1, dt=1e-2)[0].certificate is None
+    with pytest.raises(AttributeError, match="no 'snapshots': of its run only records are kept. fmbd.solve"):
+        print(found[2].snapshots)
+    with pytest.raises(fmbd.errors.InputError, match="checkpoints are of one run alone. Loop over solve"):
+        fmbd.study.map(pendulum, [1.0, 0.5], checkpoint=fmbd.Checkpoint("kept"), **settings)
+
+
 def test_other_exceptions_of_a_variant_name_its_parameter() -> None:
     def make(length: float) -> fmbd.Scene:
         if length < 0:

@@ -189,7 +189,8 @@ class Loop:
                 if stop.asked if keeper is None else keeper.after_step(self.progress, stop):
                     log.warning("stopped on request at t = %g s", self.state.t)
                     break
-        if keeper is not None:
+        # what goes on from steps behind an event would have passed it: one from before meets it again
+        if keeper is not None and not self.event_met:
             keeper.write(self.progress)
         self._arrive()
 

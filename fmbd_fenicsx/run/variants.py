@@ -13,7 +13,7 @@ import pickle
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -26,6 +26,9 @@ from ..system.scene.scene import Scene
 from .recording.output import Output
 from .solve import solve
 
+if TYPE_CHECKING:
+    from .accuracy.certificate import Certificate
+
 FEW = 50_000  # objects between two collections in a copy
 
 
@@ -33,6 +36,7 @@ FEW = 50_000  # objects between two collections in a copy
 class Variant:
     """What one variant left: times (n,) s, series (n, size) by sensor, energies (n,) J by kind, q and v at the end, counters.
 
+    ``status``, ``warnings``: as of a run. ``certificate``: what it states of its errors, where it was asked.
     ``error``: why it failed, where failures are kept; it then left nothing else.
     """
 
@@ -42,13 +46,25 @@ class Variant:
     energy: dict[str, Array]
     end: tuple[Array, Array]
     counters: dict[str, float]
+    status: str = "failed"
+    warnings: tuple[str, ...] = ()
+    certificate: Certificate | None = None
     error: FmbdError | None = None
 
     @classmethod
     def failed(cls, parameter: Any, error: FmbdError) -> Variant:
         """One that failed."""
         nothing = np.zeros(0)
-        return cls(parameter, nothing, {}, {}, (nothing, nothing), {}, error)
+        return cls(parameter, nothing, {}, {}, (nothing, nothing), {}, error=error)
+
+    if not TYPE_CHECKING:  # type checkers know what there is
+
+        def __getattr__(self, name: str) -> Any:
+            """Only what is not there comes here."""
+            raise AttributeError(
+                f"A variant has no {name!r}: of its run only records are kept. "
+                "fmbd.solve(make(parameter), ...) gives the whole run."
+            )
 
     def __getitem__(self, sensor: str) -> Array:
         """Series of a sensor, (n, size)."""
@@ -113,10 +129,11 @@ def run_variants(
     Args:
         make: parameter -> scene.
         keep_failures: a variant that fails keeps its ``error``, and the others are run; else the first error is raised.
-        settings: of :func:`~fmbd_fenicsx.solve`, the same for all.
+        settings: of :func:`~fmbd_fenicsx.solve`, the same for all, but for ``checkpoint`` and ``restart``. Functions that an
+            output calls, ``on_step`` and ``then`` of events, see all variants: these are run one after the other.
 
     Raises:
-        InputError: no parameters, or several MPI ranks, which share out one scene.
+        InputError: no parameters, a checkpoint, or several MPI ranks, which share out one scene.
         FmbdError: what a variant raises, with its parameter; exceptions of other kinds as :class:`~fmbd_fenicsx.errors.LawError`.
     """
     function("study.map: make", make, ["parameter"])
@@ -129,12 +146,17 @@ def run_variants(
         world_size() == 1,
         f"study.map uses all cores by itself, found {world_size()} MPI ranks. Start it without mpirun, or loop over solve().",
     )
-    settings.setdefault("output", Output(progress=False))
+    require(
+        settings.get("checkpoint") is None and settings.get("restart") is None,
+        "study.map: checkpoints are of one run alone. Loop over solve() with a folder for each variant.",
+    )
+    output = settings.setdefault("output", Output(progress=False))
     one = _kept if keep_failures else _one
     first = one(make, given[0], settings)
 
     rest = given[1:]
-    workers = min(cores(), len(rest))
+    # what a function of the user's own remembers in a copy of this process would be lost
+    workers = 1 if isinstance(output, Output) and output.calls_back else min(cores(), len(rest))
     if workers < 2 or not hasattr(os, "fork"):
         return Variants((first, *(one(make, parameter, settings) for parameter in rest)))
     pipes = [_start(one, make, rest[i::workers], settings) for i in range(workers)]
@@ -162,7 +184,9 @@ def _one(make: Callable[[Any], Scene], parameter: Any, settings: dict[str, Any])
             f"Variant {parameter!r:.80}: {type(error).__name__}: {error} ({place.filename}, line {place.lineno}, in {place.name})"
         ) from error
     end = run.state.q.copy(), run.state.v.copy()
-    return Variant(parameter, run.times, run.series, run.energy, end, run.counters)
+    stated = run.certificate if run.deviations else None
+    said = run.status, tuple(run.warnings), stated
+    return Variant(parameter, run.times, run.series, run.energy, end, run.counters, *said)
 
 
 def _kept(make: Callable[[Any], Scene], parameter: Any, settings: dict[str, Any]) -> Variant:

@@ -50,7 +50,8 @@ class Checkpoint:
         seconds: of wall-clock time after which one is written in any case.
         keep: how many of the newest are kept.
 
-    One is written at the start and at the end of the run too. SIGUSR1, SIGTERM, or a file named STOP in the folder let the run
+    One is written at the start and at the end of the run too, but none behind an event that ended it: a restart meets the
+    event again. SIGUSR1, SIGTERM, or a file named STOP in the folder let the run
     finish its step, write a checkpoint and end (exit code 75); so does Ctrl-C in a serial run (exit code 130).
     """
 

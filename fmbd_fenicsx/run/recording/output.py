@@ -54,7 +54,8 @@ class Output:
             estimate the error that the mesh causes in each sensor.
         ledger: whether the power of every force, drive and damping is recorded too, for ``run.ledger``.
         on_step: called after each step with a :class:`~fmbd_fenicsx.run.recording.moment.Moment`: ``now.t``, ``now.step``,
-            ``now["tip"]`` for the present value of a sensor. On all ranks; what it returns is ignored.
+            ``now["tip"]`` for the present value of a sensor. On all ranks; what it returns is ignored. A search with ``tol``
+            calls it in each of its runs, whose steps are counted from 1; so do events.
         events: crossings of a value by a sensor, each an :class:`~fmbd_fenicsx.run.recording.events.Event`: the run ends,
             or calls back.
     """
@@ -123,6 +124,11 @@ class Output:
     def estimates(self) -> bool:
         """Whether an error is to be estimated."""
         return self.estimate_error or self.estimate_reduction or self.estimate_space
+
+    @property
+    def calls_back(self) -> bool:
+        """Whether a function of the user's is called on the way."""
+        return self.on_step is not None or any(event.then is not None for event in self.events)
 
     def count(self, t_end: float) -> float:
         """How many snapshots are wanted in a run that ends at ``t_end`` (s)."""
