@@ -26,6 +26,7 @@ LEAST_ERROR = 1e-2  # of errors that are remembered
 NO_ERROR = 1e-10  # smaller ones are none
 REFUSED = 0.1, 0.9  # least and most that is left of the size of a step that its error has refused
 PATIENCE = 40  # refusals of one step
+ESTIMATE = "error estimate"  # the cause of those by a step's error; others are failures of its iteration
 FADING = 0.8  # of the largest error of late, from step to step
 
 
@@ -67,6 +68,10 @@ class StepControl:
     error_old: float = 0.0
     given: bool = False  # whether steps end where they have to alone, whatever their errors are: none is made smaller
     span: float = 0.0  # s, what a step was at most allowed to be
+    dear: bool = False  # whether each size has factors of its own
+    # steps of these behind a failure of Newton's iteration that do not grow: twice as many where one comes soon again; steps since
+    pause: int = 0
+    since: int = 0
     # (t, h, cause) since the last accepted step
     rejections: list[tuple[float, float, str]] = field(default_factory=list)
     # since the last accepted step: what a law returned that could not be used, or a joint that stayed open
@@ -82,9 +87,13 @@ class StepControl:
             factor = min(factor, predictive)
         self.h_old, self.error_old = h, max(error, LEAST_ERROR)
         # after a rejection the step does not grow at once
-        after_rejection = bool(self.rejections)
+        self.since += 1
+        if self.dear and any(cause != ESTIMATE for *_, cause in self.rejections):
+            self.pause = 2 * self.pause if self.since <= 2 * self.pause else 1
+            self.since = 0
+        steady = bool(self.rejections) or self.since < self.pause
         self.rejections.clear()
-        factor = min(max(factor, self.shrink), 1.0 if after_rejection else self.grow)
+        factor = min(max(factor, self.shrink), 1.0 if steady else self.grow)
         return h * factor
 
     def proposal(self, proposed: float, limit: float) -> float:
@@ -115,7 +124,7 @@ class StepControl:
         if self.given:
             raise ConvergenceError(f"The step of {h:g} s at t = {t:.9g} s has no end: {cause}.")
         self.rejections.append((t, h, cause))
-        if cause == "error estimate" and np.isfinite(error):
+        if cause == ESTIMATE and np.isfinite(error):
             least, most = REFUSED
             factor = min(max(growth_factor(error, self.order, self.safety), least), most)
         else:

@@ -14,7 +14,7 @@ from ..rotations import Array
 from ..system.compiled.march import CHOSEN
 from ..system.compiled.own_steps import OwnRoom
 from ..system.element_memory import next_sample
-from .control import LEAST_ERROR, PATIENCE, REFUSED, TURN, Statistics, StepControl, lands
+from .control import ESTIMATE, LEAST_ERROR, PATIENCE, REFUSED, TURN, Statistics, StepControl, lands
 from .error_norm import ErrorNorm
 from .marching import MarchingStepper
 from .stepping import Observers
@@ -109,6 +109,7 @@ class OwnMarch(MarchingStepper):
         control, norm, (limit, count) = self.control, self.norm, self._ahead
         control.span = max(control.span, limit)
         own.lend(norm.q_size, norm.v_size, norm.deflections)
+        own.c.pause, own.c.since = control.pause, control.since
         own.c.worst = own.c.refused = 0.0
         own.c.failed[:] = [0.0] * len(own.c.failed)
 
@@ -125,7 +126,8 @@ class OwnMarch(MarchingStepper):
         """What it has seen in so many steps."""
         norm = self.norm
         norm.q_size, norm.v_size, norm.deflections = own.told()
+        self.control.pause, self.control.since = int(own.c.pause), int(own.c.since)
         self.local_error = float(own.c.worst)
-        for cause, count in (("error estimate", own.c.refused), *zip(self.failures, own.c.failed, strict=False)):
+        for cause, count in ((ESTIMATE, own.c.refused), *zip(self.failures, own.c.failed, strict=False)):
             if count:
                 self.stats.rejected[cause] += int(count)

@@ -26,7 +26,9 @@ MANY, MORE = COUNTS["MANY"], COUNTS["MORE"]
 class FieldRenewals(Remembering):
     """Of one run. ``due``: whether the step begins with new tangents."""
 
-    keeps: ClassVar = dict.fromkeys(("due", "_increments", "_fewest", "_new", "_relax", "_relaxed"), plain())
+    keeps: ClassVar = dict.fromkeys(
+        ("due", "_increments", "_fewest", "_new", "_relax", "_relaxed", "_vain", "_failed"), plain()
+    )
 
     def __init__(self, system: System) -> None:
         self.system = system
@@ -36,6 +38,7 @@ class FieldRenewals(Remembering):
         self._fewest = 0  # of a step since the newest tangents, or since another correction
         self._relax = self._relaxed = 1.0  # corrections of the step, and of the one before
         self._new = False  # whether the step has taken new ones
+        self._vain = self._failed = False  # whether a step failed with the newest ones, too; whether this one has, and asked for none
 
     def begin(self) -> None:
         """Begin a step from another state than the last one."""
@@ -44,7 +47,7 @@ class FieldRenewals(Remembering):
             self._fewest = made if self._new or other else min(self._fewest, made)
             self._relaxed = self._relax
             self.due = made > max(MANY, self._fewest + MORE)
-        self._increments, self._new = 0, False
+        self._increments, self._new, self._failed = 0, False, False
 
     def begin_again(self) -> None:
         """Begin one from the same state."""
@@ -56,15 +59,21 @@ class FieldRenewals(Remembering):
         self._relax = relax
 
     def ask(self, *, again: bool = False) -> bool:
-        """Whether a step that has failed may be tried with new tangents, which it takes then; ``again``: several times."""
-        self.due = bool(self.fields) and (again or not self._new)
+        """Whether a step that has failed may be tried with new tangents, which it takes then; ``again``: several times.
+
+        Where the newest ones came in vain, steps are too long for any: a smaller one that fails, too, asks for the next ones.
+        """
+        self._vain |= self._new
+        too_long = self._vain and not self._failed
+        self._failed |= not self._new
+        self.due = bool(self.fields) and (again or not (self._new or too_long))
         return self.due
 
     def take(self, ev: Evaluation, origin: Array) -> None:
         """New tangents where derivatives are taken in a step that begins at q = ``origin``, if they are due; collective."""
         if self.due and self.fields:
             self.take_predicted(ev, origin)
-            self.due, self._new = False, True
+            self.due, self._new, self._vain = False, True, False
 
     def take_predicted(self, ev: Evaluation, origin: Array) -> None:
         """The same, due or not."""
@@ -78,16 +87,15 @@ class FieldRenewals(Remembering):
         """Let compiled code go on."""
         c = room.fields
         c.renewable, c.outworn, c.fewest, c.renewed = bool(self.fields), self.due, self._fewest, 0
-        c.relaxed = self._relaxed
+        c.relaxed, c.vain, c.failed = self._relaxed, self._vain, 0
 
     def follow(self, room: FieldStageRoom) -> None:
         """Go on behind steps of compiled code."""
-        self.due, self._fewest, self._relaxed = (
-            bool(room.fields.outworn),
-            int(room.fields.fewest),
-            float(room.fields.relaxed),
-        )
+        c = room.fields
+        self.due, self._vain = bool(c.outworn), bool(c.vain)
+        self._fewest, self._relaxed = int(c.fewest), float(c.relaxed)
 
     def tried(self, room: FieldStageRoom) -> None:
         """Take notice of what compiled code has tried in a step that is to be made in parts."""
-        self.due, self._new = False, bool(room.fields.renewed)
+        c = room.fields
+        self.due, self._new, self._vain, self._failed = False, bool(c.renewed), bool(c.vain), bool(c.failed)

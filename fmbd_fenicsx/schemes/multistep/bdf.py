@@ -43,7 +43,7 @@ from ...system.layout import State, States
 from ...system.scene.contents import Contents
 from ...system.serialisation import plain, worker
 from ...system.system import System
-from ..control import StepControl, moves, turn_limit, turns_too_far
+from ..control import ESTIMATE, StepControl, moves, turn_limit, turns_too_far
 from ..dae import GGL, Form, OfForm, Points
 from ..error_norm import check_tolerance
 from ..implicit.implicit_stepper import ImplicitStepper
@@ -222,7 +222,7 @@ class BDFStepper(ImplicitStepper):
                     iteration.full = True
                     continue  # and with one for each iteration, before the step is made smaller
             else:
-                error, cause = self._error(h, found, orders.k), "error estimate"
+                error, cause = self._error(h, found, orders.k), ESTIMATE
                 if self.control.passes(error):
                     break
             self._reject(h, error, cause)

@@ -28,7 +28,7 @@ from ...system.layout import State, States
 from ...system.serialisation import Memory, plain, worker
 from ...system.system import System
 from ..consistent import arrived
-from ..control import Statistics, StepControl, first_step, turn_limit, turns_too_far
+from ..control import ESTIMATE, Statistics, StepControl, first_step, turn_limit, turns_too_far
 from ..error_norm import ErrorNorm, check_tolerance
 from ..newton import Newton
 from ..own_marching import OwnMarch
@@ -230,11 +230,11 @@ class ExplicitStepper(OwnMarch):
             if turns_too_far(self.system, moved):
                 return None, np.inf, "turns too far"
             if not self.control.passes(error):
-                return made, error, "error estimate"
+                return made, error, ESTIMATE
 
             closed = arrived(self.system, made, self.solver)
             way = self.system.difference(made.q, closed.q)
-            return closed, max(error, self.norm(h, way, np.zeros_like(way))), "error estimate"
+            return closed, max(error, self.norm(h, way, np.zeros_like(way))), ESTIMATE
         except (ConvergenceError, LinearSolveError):
             return None, np.inf, "constraints not closed"
         except CallbackError as fault:

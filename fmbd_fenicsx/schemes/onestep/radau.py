@@ -37,7 +37,7 @@ from ...system.element_memory import memory_error
 from ...system.layout import State, States
 from ...system.serialisation import plain
 from ...system.system import System
-from ..control import StepControl, moves, turn_limit, turns_too_far
+from ..control import ESTIMATE, StepControl, moves, turn_limit, turns_too_far
 from ..dae import GGL, Form, OfForm, Points
 from ..error_norm import check_controlled
 from ..implicit.implicit_stepper import ImplicitStepper
@@ -109,7 +109,7 @@ class RadauStepper(ImplicitStepper):
     def __init__(self, scheme: Radau, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
         super().__init__(scheme, system, solver, newton, state)
         self.tab = self._coefficients()
-        self.control = StepControl(scheme.stages + 1.0)
+        self.control = StepControl(scheme.stages + 1.0, dear=not self.eq.dense)
         self.iteration = StageNewton(self.eq, self.norm, newton, self.tab, adaptive=self.adaptive)
         self.mult: Array = self.eq.multipliers(state)
         self._last: LastStep | None = None
@@ -200,7 +200,7 @@ class RadauStepper(ImplicitStepper):
                         iteration.tangent = None
 
             if not isinstance(points, str):
-                error, cause = self._estimate(h, points), "error estimate"
+                error, cause = self._estimate(h, points), ESTIMATE
                 if self.control.passes(error):
                     self.solver.near_singular.accept_trial()
                     return h, points, error

@@ -47,7 +47,7 @@ from ....system.layout import State
 from ....system.serialisation import plain, worker
 from ....system.system import System
 from ...consistent import consistent
-from ...control import FADING, Statistics, StepControl, first_step, moves, turn_limit
+from ...control import ESTIMATE, FADING, Statistics, StepControl, first_step, moves, turn_limit
 from ...error_norm import NormOfWays
 from ...newton import Newton
 from ...stepping import UNOBSERVED, Observers, TimeStepper
@@ -357,7 +357,7 @@ class VariableAlpha(TimeStepper):
         kept, largest = self.resized.held, self.norm.largest
         try:
             self.resized.step(h)
-            error, cause = self._error(h), "error estimate"
+            error, cause = self._error(h), ESTIMATE
             self.resized.arrive(self.stretch.time(self.stretch.done + Fraction(1, parts(level))))
         except LinearSolveError as failure:
             error, cause = np.inf, self._losing(h, failure)

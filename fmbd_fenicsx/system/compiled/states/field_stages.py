@@ -92,7 +92,7 @@ class FieldStageRoom(PointRoom):
         c, known = self.fields, self.known
         if not c.outworn:
             return None
-        c.outworn, c.renewed = 0, 1
+        c.outworn, c.renewed, c.vain = 0, 1, 0
         v, a = map(self.twin.forces, (known["v"], known["a"]))
         return State(float(c.t), self.twin.places(known["q"]), v, a, known["lam"].copy())
 

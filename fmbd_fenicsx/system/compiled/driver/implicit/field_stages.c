@@ -22,6 +22,7 @@ typedef struct FieldStages {
     double *b, *c, *given, *found, *room; /* 2 n, 2 n + 2 m; 2 m each; 3 n + size */
     int renewable, renewed, outworn, fewest; /* whether fields have new tangents, this step has taken some, and the next one asks for some;
                                           increments of a step since, at the least: schemes/implicit/field_renewals.py */
+    int vain, failed;                  /* whether a step failed with the newest ones, too; whether this one has, and asked for none */
     int pressures;                     /* unknown ones of all fields, side by side: */
     double *pressure, *opened, *began; /* points x pressures: of the points, and their balances; where the step began */
     double relaxed;                    /* how increments of the last step were corrected for factors of another frequency */
@@ -120,15 +121,19 @@ static void wear_tangents(const Stages *o, int increments)
     const int other = fabs(o->relax - e->relaxed) > CORRECTED_ALIKE;
     if (e->renewed || other || increments < e->fewest) e->fewest = increments;
     e->relaxed = o->relax;
-    e->renewed = 0;
+    e->renewed = e->failed = 0;
     if (e->renewable && increments > MANY && increments > e->fewest + MORE) renew_fields(e);
 }
 
-/* Whether a step that has failed is tried once more, with new tangents of the fields. */
+/* Whether a step that has failed is tried once more, with new tangents of the fields: ask() of field_renewals.py. */
 static int tried_renewed(const Stages *o, int verdict)
 {
     FieldStages *e = o->fields;
-    if (!e || verdict != NEWTON || !e->renewable || e->renewed) return 0;
+    if (!e || verdict != NEWTON || !e->renewable) return 0;
+    e->vain |= e->renewed;
+    const int too_long = e->vain && !e->failed;
+    e->failed |= !e->renewed;
+    if (e->renewed || too_long) return 0;
     renew_fields(e);
     return 1;
 }

@@ -367,8 +367,8 @@ static int own_radau_step(System *s, double *p, Implicit *o, const Block *now, B
 
     /* the error went back to the start of the step, in time too */
     sample_point(s, o->stages, o->stages->points - 1, 1);
-    made.control->next = next_size(o, &last, &made, p[H], &found, left);
     note_passing(c, &found);
+    made.control->next = next_size(o, &last, &made, p[H], &found, left);
     if (o->stages->fields) o->stages->fields->begun = 0;
     return end_radau(s, o, p, now, out);
 }

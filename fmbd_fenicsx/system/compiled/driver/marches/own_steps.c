@@ -23,6 +23,7 @@ typedef struct OwnSteps {
     double worst, refused;             /* of a march: the largest error, and how many were too large */
     double failed[FAILING];            /* how many tries at a step had no end, by cause */
     double order, shrink, grow, least; /* of the controller; least error that it remembers */
+    double pause, since;               /* steps on a grid behind a failure that do not grow, twice as many where one comes soon again; steps since */
     double turning, most;              /* of Radau: steps are to turn by so much less; increments, twice */
     double trouble, troubled;          /* of Radau: two for each failure of late, less one for each step; with more Python makes the step */
     const double *error;               /* weights of slopes, or of Radau's stages, in the error */
@@ -93,7 +94,7 @@ typedef struct {
 enum { CONTROLLED = 3 };
 static const double NO_ERROR = 1e-10; /* smaller ones are none */
 
-/* The size that follows an accepted step of h: accepted() of schemes/control.py, with the same ``effort``. */
+/* The size that follows an accepted step of h that was noted: accepted() of schemes/control.py, with the same ``effort``. */
 static double accepted_size(const OwnSteps *c, const Controlled *last, Controlled *made, double h, const Passing *found, double effort)
 {
     const double known = fmax(found->error, NO_ERROR), safety = c->safety;
@@ -101,7 +102,7 @@ static double accepted_size(const OwnSteps *c, const Controlled *last, Controlle
     if (last->before > 0.0) factor = fmin(factor, safety * (h / last->before) * pow(last->missed / (known * known), 1.0 / c->order));
     made->before = h;
     made->missed = fmax(known, c->least);
-    return h * fmin(fmax(factor, c->shrink), found->refused || found->failures ? 1.0 : c->grow);
+    return h * fmin(fmax(factor, c->shrink), found->refused || found->failures || c->since < c->pause ? 1.0 : c->grow);
 }
 
 /* Whether a try at a step passes. */
@@ -115,6 +116,11 @@ static void note_passing(OwnSteps *c, const Passing *found)
 {
     c->worst = fmax(c->worst, found->error);
     c->refused += found->refused;
+    c->since += 1.0;
+    if (found->failures && c->first > 0.0) {
+        c->pause = c->since <= 2.0 * c->pause ? 2.0 * c->pause : 1.0;
+        c->since = 0.0;
+    }
     c->trouble = fmax(c->trouble + 2 * found->failures - 1, 0.0);
     for (int i = 0; i < FAILING; i++) c->failed[i] += found->failed[i];
 }
