@@ -69,9 +69,8 @@ class StepControl:
     given: bool = False  # whether steps end where they have to alone, whatever their errors are: none is made smaller
     span: float = 0.0  # s, what a step was at most allowed to be
     dear: bool = False  # whether each size has factors of its own
-    # steps of these behind a failure of Newton's iteration that do not grow: twice as many where one comes soon again; steps since
-    pause: int = 0
-    since: int = 0
+    pause: int = 0  # steps behind a failure that do not grow: twice as many where one comes soon again
+    since: int = 0  # steps since
     # (t, h, cause) since the last accepted step
     rejections: list[tuple[float, float, str]] = field(default_factory=list)
     # since the last accepted step: what a law returned that could not be used, or a joint that stayed open

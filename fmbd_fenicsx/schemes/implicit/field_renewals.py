@@ -38,7 +38,8 @@ class FieldRenewals(Remembering):
         self._fewest = 0  # of a step since the newest tangents, or since another correction
         self._relax = self._relaxed = 1.0  # corrections of the step, and of the one before
         self._new = False  # whether the step has taken new ones
-        self._vain = self._failed = False  # whether a step failed with the newest ones, too; whether this one has, and asked for none
+        self._vain = False  # whether a step failed with the newest ones, too
+        self._failed = False  # whether the step has failed with older ones
 
     def begin(self) -> None:
         """Begin a step from another state than the last one."""

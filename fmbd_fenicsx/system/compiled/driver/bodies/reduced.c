@@ -242,13 +242,14 @@ int reduced_force(const Body *o, const double *R, const double *q, const double 
     return modal_rows(o, local, acc, L, w, elastic, rows) <= o->large ? DONE : LOOK;
 }
 
-/* The lower half of M in the block, world axes. */
+/* The lower half of M in the block, world axes: at these coordinates, which need not be those evaluated last. */
 static void reduced_masses(const Body *o, const double *R, const double *eta)
 {
     int m = o->modes, k = m + 1, n = TWIST + m, DD = D * D;
     const double *U = o->U;
     double *A = o->block, T0[D * D], J[ROT * ROT], arm[D], trace = 0.0;
 
+    modal_moments(o, eta);
     memcpy(T0, U, sizeof T0);
     for (int c = 0; c < m; c++) add(T0, eta[c], U + DD * (c + 1), DD);
     for (int i = 0; i < D; i++) {

@@ -22,7 +22,7 @@ typedef struct FieldStages {
     double *b, *c, *given, *found, *room; /* 2 n, 2 n + 2 m; 2 m each; 3 n + size */
     int renewable, renewed, outworn, fewest; /* whether fields have new tangents, this step has taken some, and the next one asks for some;
                                           increments of a step since, at the least: schemes/implicit/field_renewals.py */
-    int vain, failed;                  /* whether a step failed with the newest ones, too; whether this one has, and asked for none */
+    int vain, failed;                  /* whether a step failed with the newest ones, too; whether this one has with older ones */
     int pressures;                     /* unknown ones of all fields, side by side: */
     double *pressure, *opened, *began; /* points x pressures: of the points, and their balances; where the step began */
     double relaxed;                    /* how increments of the last step were corrected for factors of another frequency */
