@@ -99,3 +99,18 @@ def test_roundoff_of_places_refuses_no_steps_behind_a_start(rtol: float, compile
     rest = -2.0 * 9.81 / stiff
     turned = rest * (1 - (s[1] * np.exp(s[0] * 2e-3) - s[0] * np.exp(s[1] * 2e-3)) / (s[1] - s[0])).real
     assert run.state.q[2] == pytest.approx(turned, rel=1e-5)
+
+
+@pytest.mark.parametrize("scheme", [fmbd.GeneralizedAlpha(rtol=1e-6), fmbd.BDF()], ids=["alpha", "BDF"])
+@pytest.mark.parametrize("far", [1e3, 1e6])
+def test_steps_far_from_the_origin_ask_for_no_less_than_places_are_known_to(scheme: Any, far: float) -> None:
+    """A pendulum of 1 mm, 1 and 1 000 km away: places are known to 1e-13 and 1e-10 m, where rtol asked for 1e-15 and 1e-9."""
+    ends = []
+    for x in (0.0, far):
+        scene = fmbd.Scene("pendulum", gravity=(0.0, -9.81))
+        bar = fmbd.RigidBody("bar", 1e-6, 1e-13, (x + 5e-4, x))
+        scene.add(bar, fmbd.revolute("pin", fmbd.ground, bar, center=(x, x)))
+        scene.sensor("turn", fmbd.rotation(bar))
+        run = fmbd.solve(scene, t_end=0.02, scheme=scheme, output=fmbd.Output(estimate_error=False))
+        ends.append(run["turn"][-1])
+    assert ends[1] == pytest.approx(ends[0], abs=3e-4)

@@ -23,6 +23,7 @@ from ..system.evaluation import Evaluation
 from ..system.layout import Layout, State
 from ..system.lengths import FITS, SHUT
 from ..system.system import System
+from .newton import known_gaps
 
 MASS = Weights(1.0, 0.0, 0.0)
 CLOSED = 1e-9  # of the model's length: what is open by less is open by roundoff
@@ -90,7 +91,7 @@ def _closed(state: State, solver: StepSolver, metric: Weights) -> tuple[Evaluati
         if step <= 1e-15 * system.length:
             break
 
-    _refuse_open(system, state.t, g, solver)
+    _refuse_open(ev, g, solver)
     return ev, moved, iterations
 
 
@@ -308,10 +309,10 @@ def _volume_accelerations(system: System, state: State, solver: StepSolver) -> A
     return out if held else None
 
 
-def _refuse_open(system: System, t: float, g: np.ndarray, solver: StepSolver) -> None:
-    """Constraints that stay open however the bodies are placed."""
-    gap = float(np.abs(g).max(initial=0.0))
-    if gap > 1e-9 * system.length:
+def _refuse_open(ev: Evaluation, g: np.ndarray, solver: StepSolver) -> None:
+    """Constraints that stay open however the bodies are placed, by more than roundoff of places."""
+    system, t, gap = ev.system, ev.t, float(np.abs(g).max(initial=0.0))
+    if gap > CLOSED * system.length and known_gaps(ev, g).any():
         hint = "; its rows depend on those of other joints (inconsistent redundancy)" if solver.core.redundant else ""
         raise ConstraintError(
             f"The joints contradict each other at t = {t:g} s: {worst_block(system, g)} stays open by {gap:.3g} m wherever the "

@@ -68,15 +68,17 @@ class ErrorNorm(Remembering):
     """
 
     keeps: ClassVar = {
-        **dict.fromkeys(("q_size", "v_size", "deflections"), plain()),
+        **dict.fromkeys(("q_size", "v_size", "deflections", "known"), plain()),
         **dict.fromkeys(("scale", "wq", "wv"), Memory.like_v),
     }
 
-    def __init__(self, system: System, rtol: float, atol: float | None, index: int) -> None:
+    def __init__(self, start: State, system: System, rtol: float, atol: float | None, index: int) -> None:
         self.system, self.rtol, self.atol, self.index = system, rtol, atol, index
         self.sizes = Sizes(system)
         self.v_size: Array = np.zeros(system.n_core)
         self.q_size: Array = np.zeros(system.n_core)
+        # share of the model's length of which rtol is roundoff of places: no steps make errors smaller
+        self.known = self.unknown(start) / (rtol * system.length)
         self.deforming = [(k, p) for k, p in enumerate(system.parts) if p.distributed or p.rms is not None]
         self.deflections: Array = np.zeros(len(self.deforming))  # m, the largest so far
         self.scale: Array = np.ones(system.n_v)  # of positions, in the model
@@ -89,7 +91,7 @@ class ErrorNorm(Remembering):
         s = self.system
         v = np.abs(state.v[: s.n_core])
         self.rigid = self._motions(state)
-        self.q_size = np.maximum(self.q_size, self.sizes.positions(state.q))
+        self.q_size = np.maximum(self.q_size, self._reached(state.q))
         # the velocities that the accelerations reach within the step count too
         fast = np.maximum(v, h * np.abs(state.a[: s.n_core]))
         for block in self.sizes.blocks:
@@ -106,6 +108,13 @@ class ErrorNorm(Remembering):
         if self.deforming:
             rates = np.where(self.deformations[:n], self.wv[:n], rates)
         self.wv[:n] = rates
+
+    def _reached(self, q: Array) -> Array:
+        """Sizes of coordinates, those of frames at least what places are known to."""
+        sizes = self.sizes.positions(q)
+        if self.known > 1.0:
+            sizes[: self.system.n_frames * self.system.motions.n_twist] *= self.known
+        return sizes
 
     def _motions(self, state: State) -> RigidMotions | None:
         """What errors of rates are told apart by."""
@@ -236,7 +245,8 @@ class NormOfWays(ErrorNorm):
     A rod or a chain that moves by a thousandth of its length would else pass with errors as large as its motion. With w the
     largest way of a frame over the model's length, or its turn in radians,
 
-        sizes = max(min(w, 1), least) (length, one radian),      least = 1e-6, or what leaves 1e-12 beside rtol           (1)
+        sizes = max(min(w, 1), least) (length, one radian),                                                              (1)
+        least = 1e-6, or what leaves 1e-12 or the roundoff of places at the start beside rtol
 
     so that bodies at rest, which move by roundoff, take large steps. Beside a motion that begins, what has moved so far is no
     measure. What prescribed motions will move belongs to the way from the start. So does where a step has led that was refused
@@ -251,8 +261,8 @@ class NormOfWays(ErrorNorm):
     PLACES = (0.118, 0.236, 0.382, 0.5, 0.618, 0.764, 0.882, 1.0)
     keeps: ClassVar = {**ErrorNorm.keeps, "origin": _configuration, "way": plain()}
 
-    def __init__(self, system: System, rtol: float, atol: float | None, index: int) -> None:
-        super().__init__(system, rtol, atol, index)
+    def __init__(self, start: State, system: System, rtol: float, atol: float | None, index: int) -> None:
+        super().__init__(start, system, rtol, atol, index)
         self.origin: Array | None = None
         self.way = 0.0
 
@@ -267,6 +277,9 @@ class NormOfWays(ErrorNorm):
     def largest(self) -> tuple[Any, ...]:
         """With the way."""
         return *super().largest, self.way
+
+    def _reached(self, q: Array) -> Array:
+        return self.sizes.positions(q)  # ``least`` knows what places are known to
 
     def _motions(self, state: State) -> RigidMotions | None:
         return (
@@ -326,4 +339,4 @@ class NormOfWays(ErrorNorm):
     @property
     def least(self) -> float:
         """``least`` of (1)."""
-        return min(max(self.LEAST, self.FINEST / self.rtol), 1.0)
+        return max(self.LEAST, min(self.FINEST / self.rtol, 1.0), self.known)

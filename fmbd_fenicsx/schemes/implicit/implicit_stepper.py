@@ -74,7 +74,7 @@ class ImplicitStepper(OwnMarch):
         acceleration = max(speed * speed / system.length, system.max_abs(state.a))
         self.eq = step_equations(system, scheme.form, solver, acceleration)
         self.adaptive = scheme.rtol is not None
-        self.norm = ErrorNorm(system, scheme.rtol or newton.tolerance, scheme.atol, scheme.form.index)
+        self.norm = ErrorNorm(state, system, scheme.rtol or newton.tolerance, scheme.atol, scheme.form.index)
         self.stats = Statistics()
         self.proposed: float | None = None
         if not self.eq.dense:

@@ -77,7 +77,7 @@ class ExplicitStepper(OwnMarch):
 
     def __init__(self, scheme: Any, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
         self.scheme, self.system, self.solver, self.newton, self.state = scheme, system, solver, newton, state
-        self.norm = ErrorNorm(system, scheme.rtol or newton.tolerance, scheme.atol, 1)
+        self.norm = ErrorNorm(state, system, scheme.rtol or newton.tolerance, scheme.atol, 1)
         self.control, self.stats = StepControl(float(scheme.order)), Statistics()
         self.proposed: float | None = None
         self.local_error = 0.0

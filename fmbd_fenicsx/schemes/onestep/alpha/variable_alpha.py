@@ -89,7 +89,7 @@ class VariableAlpha(TimeStepper):
         self.scheme, self.system, self.solver, self.newton = scheme, system, solver, newton
         self.constant = replace(scheme, rtol=None, atol=None)
 
-        self.norm = NormOfWays(system, scheme.rtol, scheme.atol, 3)
+        self.norm = NormOfWays(state, system, scheme.rtol, scheme.atol, 3)
         self.stretch = Stretch()
         self.laws = any(loads.follows_laws for loads in system.forces)
         self.look = LookAhead(system, solver, self.norm, self._weights)
