@@ -11,11 +11,12 @@ import pytest
 from dae_problems import pendulum
 from profiled import calls_of
 from tolerance_more import MORE, copper_arm, springs_in_millimetres
-from tolerance_scenes import CASES, MESHES
+from tolerance_scenes import CASES, MESHES, rise
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError, PartsError
 from fmbd_fenicsx.linear import configuration_warnings
+from fmbd_fenicsx.materials import linear_elastic
 from fmbd_fenicsx.run import single_run, time_loop
 from fmbd_fenicsx.run.accuracy import companion_runs, equal_steps, jumps_in_time, larger_steps
 from fmbd_fenicsx.run.accuracy.deviation import Deviation
@@ -296,6 +297,40 @@ def test_half_the_step_that_tells_an_error_is_the_next_attempt(
     noted = fmbd.Output(progress=False, on_step=lambda now: called.append(now.t))
     fmbd.solve(at_a_stop(), t_end=2.0, tol={"x": 2e-3}, output=noted)
     assert len(called) == 100 + 350  # beside 700
+
+
+def test_half_the_step_that_shows_the_order_is_the_run_that_is_given(made: list[int]) -> None:
+    """A beam in 96 steps, of which 24 follow another motion: the run with 192 that tells their error is there, and better."""
+    case = CASES["beam in millimetres"]
+    run = fmbd.solve(case.scene(), t_end=case.t_end, tol=case.tol(1e-2), output=fmbd.Output(progress=False))
+    assert made == [48, 192] and run.counters["steps"] == 192 and len(run.history) == 1 and not run.halved
+    assert run.history[0].step == pytest.approx(case.t_end / 192) and run.observed_order["tip"] > 1.5
+    assert run.error_estimate["tip"] < 2e-3  # 6e-3 with 96 steps
+
+    called: list[float] = []
+    noted = fmbd.Output(progress=False, on_step=lambda now: called.append(now.t))
+    run = fmbd.solve(case.scene(), t_end=case.t_end, tol=case.tol(1e-2), output=noted)
+    assert len(called) == run.counters["steps"] == 96 and run.halved
+
+
+def test_dear_spaces_are_told_by_the_level_below_where_that_is_enough(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A block in space whose finer one has three times its unknowns: only its first level, which has none below, was compared
+    with that.
+    """
+    asked: list[int] = []
+    finer_scene = shared_spaces.finer_scene
+    monkeypatch.setattr(
+        shared_spaces, "finer_scene", lambda scene: (asked.append(len(scene.bodies)), finer_scene(scene))[1]
+    )
+    mesh = fmbd.read_gmsh(MESHES / "block.py", size=(0.2, 0.1, 0.1), counts=(2, 1, 1), origin=(0.0, 0.0, 0.0))
+    law = linear_elastic(4e6, 0.35)
+    block = fmbd.AbsoluteBody("block", mesh, density=1200.0, elastic=law, stiffness_damping=1e-3)
+    scene, up = fmbd.Scene("block"), rise(0.08)
+    scene.add(block, fmbd.fixed("wall", fmbd.ground, block.surface("left")))
+    scene.add(fmbd.force("push", block.surface("right"), lambda t: (40 * up(t), 0.0, 25 * up(t))))
+    scene.sensor("end", fmbd.position(block.surface("right")))
+    run = fmbd.solve(scene, t_end=0.2, tol={"end": fmbd.relative(5e-2)}, output=fmbd.Output(progress=False))
+    assert run.history[-1].then == "done" and run.history[-1].meshes == 1 and len(asked) == 1
 
 
 def test_a_third_of_a_tolerance_tells_nothing_of_steps_that_kinks_refuse(monkeypatch: pytest.MonkeyPatch) -> None:

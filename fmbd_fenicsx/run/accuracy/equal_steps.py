@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -28,6 +29,9 @@ from .orders import (
     scattered_order,
     usable_order,
 )
+
+if TYPE_CHECKING:
+    from ..single_run import Solved
 
 NEARBY = 0.1  # share of the run about the largest difference in which that with larger steps is looked at too
 FEWEST = 12  # steps of runs that tell errors by spaces and modes; fewer show an order
@@ -54,7 +58,8 @@ class TimeError:
     """Error of time and observed order of each sensor; ``with_others``: the cheapest run that follows the same motion;
     ``halved``: told by one with half the step. ``unseen``: no order was seen where one had to be. ``by_chance``: sensors whose
     orders are, see :func:`compare_steps`. ``told_by``: the fewest steps of the runs that tell it, those that only show the order
-    left out where it is that of the scheme. ``apart``: what the run has beyond the next one with larger steps.
+    left out where it is that of the scheme. ``apart``: what the run has beyond the next one with larger steps. ``instead``: the
+    run whose error it is, in place of the one that was asked about: a whole one with half its step.
     """
 
     errors: dict[str, Deviation]
@@ -65,6 +70,7 @@ class TimeError:
     by_chance: frozenset[str] = frozenset()
     told_by: int = 0
     apart: Mapping[str, Deviation] = field(default_factory=dict)
+    instead: Solved | None = None
 
 
 def time_error(problem: Problem, fine: Recorder, schedule: StepSchedule, *, kinked: bool = False) -> TimeError:
@@ -193,6 +199,17 @@ def doubtful(
         not found.by_chance.isdisjoint({*sensors, *astray(given, apart, MATTERS)})
         or bool(astray(given, {n: apart[n] for n in sensors}))
         or any(found.orders[n] > expected[n] + TOO_HIGH for n in sensors)
+    )
+
+
+def shows_order(found: TimeError, orders: tuple[Mapping[str, int], int], sensors: Iterable[str]) -> bool:
+    """Whether the runs that told an error show in some ``sensors``, and not by chance, the order of the scheme, which has these
+    ``orders`` in sensors and in positions.
+    """
+    expected, highest = orders
+    seen = known_orders(found)
+    return found.by_chance.isdisjoint(sensors) and all(
+        n in seen and of_the_scheme((expected[n], highest), seen[n]) for n in sensors
     )
 
 

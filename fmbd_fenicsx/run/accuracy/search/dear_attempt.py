@@ -14,8 +14,8 @@ from ....log import note
 from ...result import Run
 
 if TYPE_CHECKING:
+    from .attempts import Attempt
     from .next_attempt import AttemptPlan
-    from .tolerance import Attempt
 
 LONG = 10.0  # s, which a user wants to be told of
 TIMES = 5.0  # the seconds of all attempts before

@@ -42,7 +42,7 @@ from .shares import AIM, ITERATED, WHOLE, Tolerance, check_floor, largest_share,
 from .space_levels import UNENDED
 
 if TYPE_CHECKING:
-    from .tolerance import Attempt
+    from .attempts import Attempt
 
 LEAST = 0.65  # of smaller changes of the step the runs cost more than they save
 LEAST_UNSEEN = 0.5  # the same where the order of the scheme was not seen

@@ -37,6 +37,7 @@ from ..equal_steps import (
     falling_slowly,
     known_orders,
     of_order,
+    shows_order,
 )
 from ..estimates import (
     looked_at,
@@ -176,10 +177,11 @@ class SharedRuns:
         not show, because they do not end.
         """
         found = self._compared(solved, known, allowed)
-        if not found.halved and allowed.nearly_lets(found.errors):
+        told = found.halved or found.instead is not None
+        if not told and allowed.nearly_lets(found.errors):
             seen_by_chance = found.unseen or not found.by_chance.isdisjoint(allowed.sensors)
             if seen_by_chance or self._meet_kinks(solved, found, allowed.sensors):
-                found = self._by_half(solved, found)
+                found = self._by_half(solved, found, allowed.sensors)
         if not found.errors:
             self._untold.add(solved.compared.schedule.steps)
         if allowed.last:
@@ -201,9 +203,10 @@ class SharedRuns:
         ends = [(x.beside if isinstance(x, Accompanied) else x) for x in between]
         return any(show_kinks(scene, scheme, x.times, x.series) for x in ends)
 
-    def _by_half(self, solved: Solved, larger: TimeError | None = None) -> TimeError:
+    def _by_half(self, solved: Solved, larger: TimeError | None, sensors: Sequence[str]) -> TimeError:
         """The error by one with half the step, beside what ``larger`` ones tell, which counts alone where that does not end: by
-        half of the order of the scheme where none was seen.
+        half of the order of the scheme where none was seen. Where both are whole runs, and smooth, and show the order of the
+        scheme in the ``sensors``, that of the better one counts: it is there.
         """
         given = solved.compared
         steps, have = given.schedule.steps, self._runs[id(solved.problem.scene)]
@@ -214,7 +217,14 @@ class SharedRuns:
             if larger is None or not larger.unseen:
                 return larger or TimeError({}, {}, given)
             return replace(larger, errors=of_order(orders_of(solved.problem), given, have[larger.told_by], 0.5))
-        return by_half(orders_of(solved.problem), given, finer, coarser=coarser, larger=larger)
+
+        orders, key = orders_of(solved.problem), (id(solved.problem.scene), 2 * steps)
+        there = self._whole.get(key)
+        if there is not None and coarser and not kinked(solved.run) and not kinked(there.run):
+            found = compare_steps(orders, finer, [given, *coarser])
+            if shows_order(found, (orders, given.scheme.order), sensors):
+                return replace(found, instead=self._whole.pop(key))
+        return by_half(orders, given, finer, coarser=coarser, larger=larger)
 
     def _compared(self, solved: Solved, known: Orders, allowed: Allowed) -> TimeError:
         """See :meth:`time_error`."""
@@ -235,7 +245,8 @@ class SharedRuns:
         except UNFIT as error:
             if not coarser:
                 log.info("the run with larger steps did not end: %s", error)
-                return TimeError({}, {}, given) if solved.run.counters.get("halved_steps") else self._by_half(solved)
+                halved = bool(solved.run.counters.get("halved_steps"))
+                return TimeError({}, {}, given) if halved else self._by_half(solved, None, allowed.sensors)
             unseen = not known.seen
 
         orders, seen = orders_of(solved.problem), dict(self._seen)

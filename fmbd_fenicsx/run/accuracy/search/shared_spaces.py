@@ -30,6 +30,7 @@ from .shared_tolerances import SharedTolerances
 from .space_levels import (
     AHEAD,
     UNENDED,
+    cheap,
     finer_scene,
     from_below,
     levels_compared,
@@ -172,10 +173,9 @@ class SharedSpaces(SharedTolerances):
         """The error by the meshes from a run on the level below, where this tells that it is small ``enough``, else from the two
         levels below, where these tell how it falls, else from a run in finer spaces.
         """
-        if len(below) > 1 and one_kind(below[-2], below[-1], scene):
-            found = self._from_levels(scene, made, below, enough)
-            if found is not None:
-                return found, ""
+        found = self._from_levels(scene, made, below, enough)
+        if found is not None:
+            return found, ""
 
         finer, why, built = self._finer_of(scene, made, enough)
         if built is None:
@@ -208,12 +208,19 @@ class SharedSpaces(SharedTolerances):
     def _from_levels(
         self, scene: Scene, made: Compared, below: Sequence[Scene], enough: Enough
     ) -> dict[str, Deviation] | None:
-        """The error by the meshes from new runs on one or two levels below; None where these do not tell it."""
+        """The error by the meshes from new runs on one or two levels below; None where these do not tell it. One alone, which
+        often does not, is made where finer spaces are dear.
+        """
+        how_it_falls = len(below) > 1 and one_kind(below[-2], below[-1], scene)
+        if not below or (not how_it_falls and (enough is None or scene.contacts or cheap(scene))):
+            return None
         try:
             lower = self.like(made, below[-1])
             found = self._from_kept(scene, made, below, enough)
             if found is not None:
                 return found
+            if not how_it_falls:
+                return None
             lowest = self.like(made, below[-2])
         except UNFIT:
             return None

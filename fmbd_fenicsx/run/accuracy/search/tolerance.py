@@ -9,7 +9,7 @@ with the step, so they are estimated again only when bodies have changed; runs w
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -35,6 +35,7 @@ from ..deviation import Deviation
 from ..early_rest import with_early_rest
 from ..equal_steps import Orders, TimeError, astray, between, known_orders
 from ..estimates import usual_errors, warn_of_uncertain, with_damped
+from .attempts import Attempt, of_jumps, of_space
 from .dear_attempt import tell_of_dear_attempt
 from .failures import Failures
 from .next_attempt import (
@@ -42,7 +43,6 @@ from .next_attempt import (
     SMALL,
     AttemptPlan,
     Known,
-    Looked,
     beginning,
     ending_at,
     finer_steps,
@@ -85,33 +85,6 @@ UNUSUAL, UNUSUAL_AHEAD = 500.0, 100.0
 SHOWN = 4  # jumps of loads in the table of attempts
 
 
-@dataclass(frozen=True)
-class Attempt:
-    """One run on the way to a tolerance: its steps (s, or rtol), its level of refinement, stated errors, seconds with estimates.
-
-    One that only looked at the error in space, with the fewest steps that follow the motion, states this error alone, one whose
-    loads were found to jump none.
-    ``worst`` is the largest stated error over its tolerance; ``errors``: sensor -> sum of errors. ``then``: what was done next.
-    """
-
-    step: float
-    meshes: int
-    modes: int
-    worst: float
-    errors: dict[str, float]
-    seconds: float
-    then: str
-
-    def __str__(self) -> str:
-        """A line of a table."""
-        errors = ", ".join(f"{n} {x:.1e}" for n, x in self.errors.items())
-        said = f"error / tol {self.worst:8.2g} ({errors})" if errors else "no errors stated"
-        return (
-            f"step {self.step:<9.3g} mesh level {self.meshes}, modes level {self.modes}: {said}, {self.seconds:.2f} s: "
-            f"{self.then}"
-        )
-
-
 def solve_within(
     scene: Scene,
     tol: Tolerance,
@@ -138,7 +111,7 @@ def _attempt(plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, *, wanted:
     """One attempt after another, until nothing is left to be changed; collective."""
     begun, t_end = clock.perf_counter(), plan.schedule.t_end
     if jumps := jumps_before(plan, shared):
-        found.history.append(_of_jumps(plan, jumps, clock.perf_counter() - begun))
+        found.history.append(of_jumps(plan, jumps, clock.perf_counter() - begun))
         plan = ending_at(plan, jumps, shared)
     for _ in range(ATTEMPTS):
         try:
@@ -239,7 +212,7 @@ def _one_more(
     except UNFIT:
         plan, looked = _anew(plan), None
     if looked is not None:
-        found.history.append(_of_space(plan, looked, clock.perf_counter() - begun))
+        found.history.append(of_space(plan, looked, clock.perf_counter() - begun))
         return looked.plan
 
     output = replace(wanted, every=often(wanted, plan.schedule), estimate_error=False)
@@ -247,18 +220,19 @@ def _one_more(
     run = solved.run
     jumps = jumps_within(plan, run, tol, first=found.best is None)
     if not jumps:  # errors that others tell say nothing of these
-        orders = _state_errors(plan, tol, shared, solved)
+        plan, solved = _state_errors(plan, tol, shared, solved)
+        run = solved.run
     if solved.compared.recorder.output.every != wanted.every and wanted.times is None:
         thin_out(run, solved.compared.recorder.indices, wanted.every)
     if jumps:
         found.best = np.inf, run
-        found.history.append(_of_jumps(plan, jumps, clock.perf_counter() - begun))
+        found.history.append(of_jumps(plan, jumps, clock.perf_counter() - begun))
         return ending_at(plan, jumps, shared)
 
     certificate = stated_of(run, tol)
     ratio = worst(certificate, tol)
     found.take(run, ratio, plan)
-    made, then = _after(replace(plan, orders=orders), run, certificate, tol=tol, shared=shared, found=found)
+    made, then = _after(plan, run, certificate, tol=tol, shared=shared, found=found)
 
     errors = {n: certificate[n].sum for n in tol}
     seconds = clock.perf_counter() - begun
@@ -292,19 +266,6 @@ def _after(
     return made, "done" if nothing_has_to else then
 
 
-def _of_space(plan: AttemptPlan, looked: Looked, seconds: float) -> Attempt:
-    """The line of an attempt that ended when its meshes were found too coarse."""
-    step = plan.schedule.t_end / plan.orders.follow
-    return Attempt(step, plan.meshes, plan.modes, looked.over, looked.errors, seconds, "finer meshes")
-
-
-def _of_jumps(plan: AttemptPlan, jumps: Sequence[float], seconds: float) -> Attempt:
-    """The line of an attempt that ended when loads were found to jump within its steps."""
-    shown = ", ".join(f"{t:.6g} s" for t in jumps[:SHOWN]) + (", .." if len(jumps) > SHOWN else "")
-    then = f"steps that end where loads jump: {shown}"
-    return Attempt(plan.step, plan.meshes, plan.modes, np.inf, {}, seconds, then)
-
-
 def _first(scene: Scene, scheme: Any, t_end: float, dt: float | None) -> AttemptPlan:
     """The first attempt: the scene as it is, with the steps given or a hundred of them, or with a loose tolerance."""
     scheme = _default(scene, t_end) if scheme is None else checked_scheme(scheme)
@@ -333,23 +294,32 @@ def _default(scene: Scene, t_end: float) -> Any:
     return replace(scheme, rtol=LOOSEST) if jumps and isinstance(scheme, GeneralizedAlpha) else scheme
 
 
-def _state_errors(plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, solved: Solved) -> Orders:
-    """The errors of a run that are not known yet, and the orders that were seen; collective."""
-    run, touches = solved.run, bool(plan.scene.contacts)
+def _state_errors(
+    plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, solved: Solved
+) -> tuple[AttemptPlan, Solved]:
+    """State the errors of a run that are not known yet, or of one with half its step that is there; the plan of that run with the
+    orders that were seen, and that run; collective.
+    """
     if _all_at_once(plan, tol, shared, solved):
-        return Orders()
-    if touches:  # what tells the others has the steps of the run anyway, and how much room they leave is known then
+        return replace(plan, orders=Orders()), solved
+    # where bodies touch what tells the others has the steps of the run anyway, and how much room they leave is known then
+    if plan.scene.contacts:
         _other_errors(plan, tol, shared, solved, solved.compared)
-        kinds = {k: x for k, x in run.deviations.items() if k in ("space", "modes")}
-        plan = replace(plan, known=Known(kinds, run.space_unstated))
+        kinds = {k: x for k, x in solved.run.deviations.items() if k in ("space", "modes")}
+        plan = replace(plan, known=Known(kinds, solved.run.space_unstated))
     ended = clock.perf_counter()
     found = _time_error(plan, tol, shared, solved)
+    if found.instead is not None:
+        solved = found.instead
+        plan = replace(plan, schedule=solved.compared.schedule)
+    run = solved.run
+    run.deviations["time"] = found.errors
+    run.observed_order, run.halved = found.orders, found.halved
     run.seconds["error estimate"] = clock.perf_counter() - ended
 
-    if not touches:
-        _other_errors(plan, tol, shared, solved, found.with_others)
+    _other_errors(plan, tol, shared, solved, found.with_others)
     fewest = found.with_others.schedule.steps
-    return Orders(known_orders(found), fewest) if fewest < plan.steps else Orders()
+    return replace(plan, orders=Orders(known_orders(found), fewest) if fewest < plan.steps else Orders()), solved
 
 
 def _all_at_once(plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, solved: Solved) -> bool:
@@ -403,16 +373,14 @@ def _time_error(plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, solved:
     room = WHOLE - _reserved(plan, shared, share_of) if plan.steps and not alone else SAFE if alone else WHOLE
     too_coarse = any(share_of(x) > AIM for x in plan.known.errors.values() if x)
     allowed = Allowed(tuple(tol), share_of, room, rough=alone or looked, last=not too_coarse)
-    found = shared.time_error(solved, plan.orders, allowed) if plan.steps else shared.tolerance_error(solved, allowed)
-    if plan.steps:
-        errors, problem, given = found.errors, solved.problem, solved.compared
-        if allowed.nearly_lets(errors):
-            errors = with_early_rest(errors, problem, given)
-        errors, run.damped = with_damped(errors, damped_vibrations(problem, given.schedule))
-        found = replace(found, errors=errors)
-    run.deviations["time"] = found.errors
-    run.observed_order, run.halved = found.orders, found.halved
-    return found
+    if not plan.steps:
+        return shared.tolerance_error(solved, allowed)
+    found = shared.time_error(solved, plan.orders, allowed)
+    made, errors = found.instead or solved, found.errors
+    if allowed.nearly_lets(errors):
+        errors = with_early_rest(errors, made.problem, made.compared)
+    errors, made.run.damped = with_damped(errors, damped_vibrations(made.problem, made.compared.schedule))
+    return replace(found, errors=errors)
 
 
 def _reserved(plan: AttemptPlan, shared: SharedSpaces, share_of: Callable[[dict[str, Deviation]], float]) -> float:
