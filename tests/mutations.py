@@ -60,7 +60,7 @@ MUTATIONS: list[tuple[str, str, str, str, list[str]]] = [
     ("velocities projected in the wrong metric", "schemes/consistent.py", "    v = v + dv\n",
      "    v = v - np.linalg.pinv(ev.jacobian.core) @ (ev.jacobian.times(v)) if not system.fields else v + dv\n", MECHANICS),
     ("gap of the joints accepted", "system/lengths.py", "FITS = 1e-3", "FITS = 1e3", MECHANICS),
-    ("centroid left out of the trace weights", "fem/surfaces.py", "weights(-float(c), axis)", "weights(0.0, axis)", MECHANICS),
+    ("centroid left out of the trace weights", "fem/nodal_field.py", "weights(-float(c), axis)", "weights(0.0, axis)", MECHANICS),
     ("symmetry of the elastic form not checked", "fem/field_checks.py", "if abs(vKu - uKv) > 1e-9 * scale:", "if False:", MECHANICS),
     ("inverted cells not counted", "fem/mesh/checks.py", "        bad += wrong.size", "        bad += 0 * wrong.size", ["test_mesh"]),
     ("sums over ranks in no fixed order (rank 0 last)", "ranks.py", "_of_each(comm, x).sum(axis=0)",

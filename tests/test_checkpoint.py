@@ -17,9 +17,9 @@ from test_own_tangents import blocks as rubbing_blocks
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.linear.blocks.field_blocks import Weights
-from fmbd_fenicsx.linear.blocks.solver_memory import remember_solver
 from fmbd_fenicsx.linear.condensation import StepSolver
 from fmbd_fenicsx.ranks import world_size
+from fmbd_fenicsx.run.checkpoints.progress import remember_solver
 from fmbd_fenicsx.system.serialisation import Memory
 
 SCHEMES: dict[str, Any] = {

@@ -14,7 +14,7 @@ from fmbd_fenicsx.errors import InputError
 from fmbd_fenicsx.fem.elastic_forms import ElasticForms
 from fmbd_fenicsx.fem.fields import Field
 from fmbd_fenicsx.post.drawing.draw import draw
-from fmbd_fenicsx.post.drawing.level_sets import region
+from fmbd_fenicsx.post.drawing.obstacles import region
 from fmbd_fenicsx.post.drawing.render import strobe
 from fmbd_fenicsx.post.drawing.scene_graph import Drawing, Piece, Role
 from fmbd_fenicsx.post.drawing.skins import skin

@@ -28,9 +28,8 @@ from fmbd_fenicsx.materials import (
 from fmbd_fenicsx.schemes.dae import Points
 from fmbd_fenicsx.schemes.implicit.field_stages import FieldEquations
 from fmbd_fenicsx.schemes.implicit.implicit_stepper import ImplicitStepper
-from fmbd_fenicsx.schemes.implicit.stage_iteration import StageIteration
 from fmbd_fenicsx.schemes.implicit.stage_krylov import FieldStages
-from fmbd_fenicsx.schemes.implicit.step_newton import StepNewton
+from fmbd_fenicsx.schemes.implicit.step_newton import StageIteration, StepNewton
 from fmbd_fenicsx.schemes.multistep.bdf import BDFStepper
 from fmbd_fenicsx.schemes.onestep.radau import RadauStepper
 from fmbd_fenicsx.system.compiled.choice import use_driver

@@ -21,8 +21,8 @@ from fmbd_fenicsx.linear.implicit.pencil import Pencil
 from fmbd_fenicsx.linear.redundancy import least
 from fmbd_fenicsx.matrices import dense
 from fmbd_fenicsx.schemes.implicit.implicit_stepper import ImplicitStepper
-from fmbd_fenicsx.schemes.implicit.stage_iteration import StageIteration
 from fmbd_fenicsx.schemes.implicit.step_equations import StepEquations
+from fmbd_fenicsx.schemes.implicit.step_newton import StageIteration
 from fmbd_fenicsx.schemes.implicit.step_tangents import DenseTangents
 from fmbd_fenicsx.system.compiled.choice import use_driver
 

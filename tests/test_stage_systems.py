@@ -21,8 +21,8 @@ from fmbd_fenicsx.linear.residual import Judge
 from fmbd_fenicsx.schemes.control import FALLEN, ROUNDOFF, STAGNATION
 from fmbd_fenicsx.schemes.dae import Points
 from fmbd_fenicsx.schemes.implicit.convergence import Rates, judge_increment
-from fmbd_fenicsx.schemes.implicit.stage_iteration import StageIteration
 from fmbd_fenicsx.schemes.implicit.step_equations import StepEquations
+from fmbd_fenicsx.schemes.implicit.step_newton import StageIteration
 from fmbd_fenicsx.schemes.implicit.step_tangents import DenseTangents, SparseTangents
 from fmbd_fenicsx.schemes.multistep import corrector as bdf
 from fmbd_fenicsx.schemes.onestep import stage_newton as radau

@@ -24,8 +24,7 @@ from .energy_quadrature import integrated
 from .field_checks import check_field
 from .loads import AppliedLoads
 from .nodal_field import NodalField
-from .rest_damping import RestDamping
-from .viscous import Viscous
+from .viscous import RestDamping, Viscous
 
 
 class Field(NodalField):

@@ -151,7 +151,7 @@ class MixedField(Field):
             self._held = None
 
     def foretold_pressure(self, U: Array, dU: Array | None) -> Array:
-        """(2) of :mod:`.foretold_stress` for an increment dU, in the axes of the tangent, from displacements U on; None: the
+        """(2) of :func:`.geometric_change` for an increment dU, in the axes of the tangent, from displacements U on; None: the
         pressure there. Collective.
         """
         self.place(U)

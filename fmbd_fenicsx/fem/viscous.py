@@ -1,12 +1,13 @@
-"""Kelvin-Voigt damping of a displacement field: a constant matrix, or a law of displacement and rate with its tangent.
+"""Damping of a displacement field: Kelvin-Voigt's, and that by the stiffness without stress.
 
-The first is f = D u' with D from viscous(u', v, dx), the second f(u, u') . w = form(u, u', w, dx) of a
-:class:`~fmbd_fenicsx.energies.ViscousForm` with D the symmetric half of df/du' where the field is linearised.
+Kelvin-Voigt's is a constant matrix, or a law of displacement and rate with its tangent: the first f = D u' with D from
+viscous(u', v, dx), the second f(u, u') . w = form(u, u', w, dx) of a :class:`~fmbd_fenicsx.energies.ViscousForm` with D the
+symmetric half of df/du' where the field is linearised.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,6 +16,9 @@ from ..energies import ViscousForm
 from ..errors import InputError
 from ..rotations import Array
 from .assembly import NodalVector
+
+if TYPE_CHECKING:
+    from .fields import Field
 
 
 def symmetric(a: Any) -> Any:
@@ -93,3 +97,35 @@ class Viscous:
         argument.x.scatter_forward()
         self._place(rate)
         return self.residual.assembled()
+
+
+SAME_TURN = 1e-3  # rad: a stiffness turned by less is as good for Newton's rate
+
+
+class RestDamping:
+    """Damping of bodies with an energy by the stiffness K_0 without stress, force beta R K_0 R^T u'; collective to turn and to
+    destroy.
+
+    R is the mean rotation of a body in world axes, one in a floating frame and to begin with. Newton's matrix holds R K_0 R^T
+    beside the tangent K(u), with the R of the last tangent: with beta K(u) instead a strained body does not converge once beta
+    is of the size of the step. With a pressure, K_0 is the stiffness at constant pressure: parts that turn against R would be
+    braked by lambda otherwise.
+    """
+
+    def __init__(self, field: Field, K: Any) -> None:
+        self.field, self.beta, self.at_rest = field, field.forms.stiffness_damping, K
+        self.matrix = K
+        self._R: Array = np.eye(field.dim)
+
+    def turn(self, R: Array) -> None:
+        """Take R (d, d), the turn of the body: its stiffness at this rotation is R K_0 R^T."""
+        if np.abs(R - self._R).max() < SAME_TURN:
+            return
+        self._R = R
+        into = None if self.matrix is self.at_rest else self.matrix
+        self.matrix = self.field.stiffness_at((self.field.X @ R.T - self.field.X).ravel(), into)
+
+    def destroy(self) -> None:
+        """Free the matrix, where it is another than K_0."""
+        if self.matrix is not self.at_rest:
+            self.matrix.destroy()

@@ -20,7 +20,7 @@ from ..system.system import System
 from .blocks.elastic import Elastic
 from .blocks.elastic_blocks import Bddc, Cholesky, Multigrid, block_solver
 from .core import TIE_LIMIT
-from .fieldsplit.block import SplitBlock, split_prefix
+from .fieldsplit.preconditioner import SplitBlock, split_prefix
 from .fieldsplit.solver import SplitSolver
 from .tie_preconditioner import Fractional, MultiplierPreconditioner
 

@@ -44,7 +44,7 @@ class FieldFactor:
 
     @property
     def noisy(self) -> bool:
-        """Whether elastic forces are too inexact for stresses to be foretold (:mod:`fmbd_fenicsx.fem.foretold_stress`)."""
+        """Whether elastic forces are too inexact for stresses to be foretold (:mod:`fmbd_fenicsx.fem.motion_tangent`)."""
         return self.hidden > NOISY
 
     @property

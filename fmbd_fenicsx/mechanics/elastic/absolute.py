@@ -118,7 +118,7 @@ class AbsoluteField(FieldPart):
 
     @property
     def foretells(self) -> bool:
-        """Bodies with a stored energy: see :mod:`fmbd_fenicsx.fem.foretold_stress`."""
+        """Bodies with a stored energy: see :mod:`fmbd_fenicsx.fem.motion_tangent`."""
         return self.tangent.foretells
 
     def relinearise(

@@ -33,17 +33,69 @@ from ...system.compiled.states.points import PointsTold
 from ...system.compiled.states.stages import StageRule
 from ...system.evaluation import Evaluation
 from ...system.layout import State
-from ...system.serialisation import plain, worker
+from ...system.serialisation import Remembering, plain, worker
 from ...system.system import System
 from ...system.tangents.creep import creeps
+from ..consistent import MASS
 from ..dae import Form, Points
-from .closing_motions import COLUMNS, ClosingMotions
 from .equations import Equations, Start
 from .field_renewals import FieldRenewals
 from .field_tangent import FieldTangent
 from .stage_krylov import FieldStages
 from .stage_pressures import StagePressures
-from .whole_field_steps import WholeFieldSteps
+from .whole_steps import WholeFieldSteps
+
+COLUMNS = 64  # multipliers for which N is kept as a matrix
+
+
+class ClosingMotions(Remembering):
+    """The motions N of one step with G N = 1, N c least of all such motions in the ``metric`` of the step's matrix.
+    Collective.
+    """
+
+    keeps: ClassVar = {"metric": plain(Weights)}
+
+    def __init__(self, solver: StepSolver) -> None:
+        self.solver = solver
+        self.metric = MASS
+        self._begun: State | None = None
+        self._at: Evaluation | None = None
+        self._known: tuple[Evaluation, Weights, Array] | None = None  # N, and what it is taken for
+
+    def begin(self, state: State) -> None:
+        """N is that of the state at which a step begins."""
+        self._begun, self._at = state, None
+
+    def take(self, ev: Evaluation) -> None:
+        """N is that of where derivatives are taken."""
+        self._at = ev
+
+    def _taken(self) -> Evaluation:
+        if self._at is None:
+            assert self._begun is not None
+            self._at = self.solver.system.at(self._begun.t, self._begun.q)
+        return self._at
+
+    @property
+    def columns(self) -> Array:
+        """N, (n_v, n_lam), solved for once."""
+        ev, known = self._taken(), self._known
+        if known is None or known[0] is not ev or known[1] != self.metric:
+            self.solver.prepare_once(ev, self.metric)
+            self._known = known = ev, self.metric, self.solver.closing(np.eye(self.solver.system.n_lam))
+        return known[2]
+
+    def times(self, slips: Array) -> Array:
+        """N c of slips (k, n_lam), (k, n_v); complex ones by their parts."""
+        if slips.shape[1] <= COLUMNS:
+            return slips @ self.columns.T
+
+        self.solver.prepare_once(self._taken(), self.metric)
+        closing = self.solver.closing
+        if np.iscomplexobj(slips):
+            return np.asarray(closing(slips.real.T).T + 1j * closing(slips.imag.T).T)
+        return closing(slips.T).T
+
 
 ROUNDED_UP = 1.1  # what a step may be longer than the one proposed, whose safety allows it
 ROUNDOFF = 1e-14  # of rates, over their largest
