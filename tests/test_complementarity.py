@@ -192,20 +192,3 @@ def test_pivoting_is_for_few_points(monkeypatch: pytest.MonkeyPatch) -> None:
         with pytest.raises(ConvergenceError):
             solve_friction(W, q, np.full(count, 0.3), np.zeros((count, 3)), ContactCounts())
     assert sizes == [2, 2]
-
-
-def test_what_compiled_code_has_tried_comes_last(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of a problem that it refused: pivoting before proximal points from the forces given."""
-    tried = []
-
-    def failed(problem: coulomb.Coulomb, x: np.ndarray, rho: float, counts: ContactCounts) -> tuple[float, np.ndarray]:
-        tried.append((bool(x.any()), rho))
-        return 1.0, x
-
-    monkeypatch.setattr(coulomb, "_proximal_points", failed)
-    W, q = matrix(1, 6), -np.ones((2, 3))
-    for kind, order in ((coulomb.Coulomb, [0, 1, 2, 2]), (coulomb.Refused, [0, 2, 2, 1])):
-        tried.clear()
-        with pytest.raises(ConvergenceError):
-            solve_friction(W, q, np.full(2, 0.3), np.zeros((2, 3)), ContactCounts(), kind)
-        assert tried == [[(False, 0.0), (False, 1e-4), (True, 1e-4)][k] for k in order]

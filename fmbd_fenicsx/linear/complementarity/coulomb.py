@@ -35,11 +35,8 @@ PAINLEVE = (
 )
 
 
-def solve_friction(
-    W: Array, q: Array, mu: Array, start: Array, counts: ContactCounts, kind: type[Coulomb] | None = None
-) -> Array:
-    """Forces (m, d): normal, then tangential, of (1) and (2). W (m d, m d) and q (m, d) in blocks of
-    components by point. ``kind``: :class:`Refused` for a problem that compiled code has not solved.
+def solve_friction(W: Array, q: Array, mu: Array, start: Array, counts: ContactCounts) -> Array:
+    """Forces (m, d): normal, then tangential, of (1) and (2). W (m d, m d) and q (m, d) in blocks of components by point.
 
     Contacts that share no body, nor bodies joined to each other, are problems of their own: what is hard in one heap is not
     asked of all. Newton's method from ``start``; where it fails, because contacts depend on each other, proximal points (3);
@@ -55,11 +52,11 @@ def solve_friction(
         out = np.zeros((m, d))
         for part in parts:
             rows = (part[:, None] * d + np.arange(d)).ravel()
-            out[part] = solve_friction(W[np.ix_(rows, rows)], q[part], mu[part], start[part], counts, kind)
+            out[part] = solve_friction(W[np.ix_(rows, rows)], q[part], mu[part], start[part], counts)
         return out
     c = np.stack([1.0 / np.maximum(np.diag(W)[k::d], 1e-300) for k in range(d)], axis=1)
     c[:, 1:] = c[:, 1:].min(axis=1)[:, None]
-    return solved((kind or Coulomb)(W, q, mu, c), start, counts)
+    return solved(Coulomb(W, q, mu, c), start, counts)
 
 
 def independent(W: Array, d: int) -> list[np.ndarray]:
@@ -225,15 +222,6 @@ class Coulomb:
         """Newton's step of the forces."""
         W = self.W + np.diag(np.broadcast_to(self.shift, it.x.shape).ravel())
         return solve_least(_blocks(it.dx) + _blocks(it.du) @ W, -it.F.ravel()).reshape(it.x.shape)
-
-
-class Refused(Coulomb):
-    """A problem whose first attempts compiled code has made (driver/contact/friction.c) without a solution.
-
-    Least steps by singular values may still find one; proximal points, which fail after many iterations, come behind pivoting.
-    """
-
-    attempts: ClassVar[tuple[tuple[int, float], ...]] = (ATTEMPTS[0], *ATTEMPTS[2:], ATTEMPTS[1])
 
 
 def _proximal_points(problem: Coulomb, x: Array, rho: float, counts: ContactCounts) -> tuple[float, Array]:

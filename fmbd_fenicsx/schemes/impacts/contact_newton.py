@@ -191,17 +191,13 @@ def normal_forces(W: Any, gap: Array, force: Array, counts: ContactCounts) -> Ar
     return np.asarray(W.complementary(gap, force, counts))
 
 
-def frictional_forces(
-    W: Any, gap: Array, mu: Array, force: Array, counts: ContactCounts, *, refused: bool = False
-) -> Array:
-    """Forces (m, d) of Coulomb's law for gaps and slips gap + W (f - force); frictionless scenes import none of this.
-    ``refused``: compiled code has not found them.
-    """
+def frictional_forces(W: Any, gap: Array, mu: Array, force: Array, counts: ContactCounts) -> Array:
+    """Forces (m, d) of Coulomb's law for gaps and slips gap + W (f - force); frictionless scenes import none of this."""
     q = (gap - W @ force.ravel()).reshape(force.shape)
     if isinstance(W, np.ndarray):
-        from ...linear.complementarity.coulomb import Coulomb, Refused, solve_friction
+        from ...linear.complementarity.coulomb import solve_friction
 
-        return solve_friction(W, q, mu, force, counts, Refused if refused else Coulomb)
+        return solve_friction(W, q, mu, force, counts)
     from ...linear.complementarity.coulomb_matrix_free import solve_many
 
     return solve_many(W, q, mu, force, counts)

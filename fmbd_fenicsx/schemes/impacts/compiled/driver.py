@@ -1,7 +1,7 @@
 """Contact of points with obstacles, and stops, in the compiled driver: tables, and the march through flights, contacts, impacts.
 
-Frames, joints and forces are those of the driver's tables; Python is entered for the poses of obstacles that move as prescribed,
-for distances to shapes of the user's own, and for contacts whose forces are hard to find (by pivoting).
+Frames, joints and forces are those of the driver's tables; Python is entered for the poses of obstacles that move as prescribed
+and for distances to shapes of the user's own; steps whose contact forces are hard to find are NumPy's, which pivots.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ....errors import ConvergenceError
-from ....linear.complementarity.active_set import ContactCounts
 from ....linear.complementarity.coulomb import PAINLEVE, PIVOTED
 from ....mechanics.contact.contact_set import ContactSet
 from ....mechanics.contact.limits import LimitPair
@@ -32,9 +31,7 @@ from ....system.speed_rows import speed_rows
 from ....system.system import System
 from ...marching import lend_newton
 from ..contact_detection import tell_rest
-from ..contact_newton import frictional_forces, normal_forces
-from .pairs import COMPLEMENTARITY, RESTED, PairTables
-from .problem import dense_compliance
+from .pairs import RESTED, PairTables
 from .spheres import Spheres
 from .structures import Blocks, Contacts, Graph, Problem, Tree, structure
 from .tape import ContactTape
@@ -61,17 +58,11 @@ def numbers(address: int, size: int) -> Array:
     return np.ctypeslib.as_array(ctypes.cast(address, ctypes.POINTER(ctypes.c_double)), (size,))
 
 
-def whole_numbers(address: int, size: int) -> np.ndarray:
-    """So many whole numbers at an address."""
-    return np.ctypeslib.as_array(ctypes.cast(address, ctypes.POINTER(ctypes.c_int)), (size,))
-
-
 class ContactDriver(PairTables):
     """The driver for one system with contact: tables, calls into Python, and three states in turn."""
 
     def __init__(self, system: System, plain: System, library: Any, rule: Moreau, *, redundant: int) -> None:
         self.rule, self.accumulations = rule, 0
-        self.unsolved: ConvergenceError | None = None  # why forces of the last step were not found
         self.library, pairs = library, system.contacts.pairs
         stops = [pair.relative for pair in pairs if isinstance(pair, LimitPair)]
         super().__init__(Tables(plain, redundant=redundant, coordinates=stops), system, pairs)
@@ -170,49 +161,12 @@ class ContactDriver(PairTables):
 
     # -- calls of C ----------------------------------------------------------------------------------------------------------
     def _answer(self, what: int, number: int, t: float) -> None:
-        """As :meth:`PairTables._answer`, of rests and of forces too; those that are not found are no fault of Python."""
+        """As :meth:`PairTables._answer`, of rests too."""
         if what == RESTED:
             self.accumulations += 1
             tell_rest(self.contacts, number, t)
-        elif what == COMPLEMENTARITY:
-            try:
-                self._forces(number)
-            except ConvergenceError as error:
-                self.unsolved = error
-                raise
         else:
             super()._answer(what, number, t)
-
-    def _forces(self, m: int) -> None:
-        """Forces of a group of m contacts with the matrix W and the openings q without force."""
-        problem, d = self.c.asked, self.c.components
-        if d > 1 and m > PIVOTED:
-            raise ConvergenceError(f"Forces of {m} contacts that move each other were not found.{PAINLEVE}")
-        n = m * d
-        W, q, f = self._compliance(problem), numbers(problem.q, n), numbers(problem.f, n).copy()
-        opening, counts = q + W @ f, ContactCounts()
-        if d > 1:
-            found = frictional_forces(W, opening, numbers(problem.mu, m), f.reshape(m, d), counts, refused=True)
-        else:
-            found = normal_forces(W, opening, f, counts)
-        numbers(problem.f, n)[:] = found.ravel()
-
-        tally = self.c.tally
-        tally.solves += counts.solves
-        tally.iterations += counts.iterations
-        tally.changes += counts.changes
-        tally.cycles += counts.cycles
-        tally.residual = max(tally.residual, counts.residual)
-
-    def _compliance(self, problem: ctypes.Structure) -> Array:
-        """W of a group of contacts, dense."""
-        m, d = problem.m, self.c.components
-        first = whole_numbers(problem.first, m + 1)
-        used = slice(first[0], first[-1])
-        row, near = np.repeat(np.arange(m), np.diff(first)), whole_numbers(problem.near, first[-1])[used]
-        own = numbers(problem.own, m * d * d).reshape(m, d, d)
-        between = numbers(problem.W, first[-1] * d * d).reshape(-1, d, d)[used]
-        return dense_compliance(own, between, row, near)
 
     # -- the march -----------------------------------------------------------------------------------------------------------
     def load(self, t: float, state: tuple[Array, Array, Array, Array]) -> None:
@@ -236,13 +190,21 @@ class ContactDriver(PairTables):
         """Make up to so many steps, recorded on the ``tape``; the number made."""
         p = self.parameters
         lend_newton(p, self.system, newton)
-        p[slots.H], p[slots.THETA], p[slots.COUNTED], self.unsolved = h, newton.theta, 0.0, None
+        p[slots.H], p[slots.THETA], p[slots.COUNTED], self.c.unsolved = h, newton.theta, 0.0, 0
         made = self.library.moreau_march(
             ctypes.addressof(self.tables.c), ctypes.addressof(self.c), p.ctypes.data, steps, self.ring.address,
             ctypes.byref(self._verdict), None if tape is None else tape.address,
         )  # fmt: skip
         self.calls.error = None  # NumPy's step raises it again, with the name of the law
         return int(made)
+
+    @property
+    def unsolved(self) -> ConvergenceError | None:
+        """Why forces of the last step were not found, where NumPy, which pivots in small groups, would not find them either."""
+        m = self.c.unsolved
+        if self.c.components == 1 or m <= PIVOTED:
+            return None
+        return ConvergenceError(f"Forces of {m} contacts that move each other were not found.{PAINLEVE}")
 
     def stations(self) -> list[State]:
         """States at the start of the last step and at the ends of its parts."""

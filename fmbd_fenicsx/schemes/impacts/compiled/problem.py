@@ -25,15 +25,6 @@ from .structures import Blocks, Contacts, Problem, Tally
 VECTORS = 16 + 2 * enumeration("DIRECTIONS", "contact/friction.c")["DIRECTIONS"]
 
 
-def dense_compliance(own: Array, between: Array, row: np.ndarray, near: np.ndarray) -> Array:
-    """W (m d, m d) of the blocks (m, d, d) of contacts, and of those (n, d, d) ``between`` contacts ``row`` and ``near``."""
-    m, d, _ = own.shape
-    W = np.zeros((m, d, m, d))
-    W[range(m), :, range(m)] = own
-    W[row, :, near] = between
-    return W.reshape(m * d, m * d)
-
-
 class CompiledProblem:
     """Forces of points in d components, whose openings are q + W f; room for as many points as were asked for so far."""
 
@@ -71,9 +62,10 @@ class CompiledProblem:
         """The problem as it stands in C: W, openings (m d,) under the forces, friction (m,), and the forces (m, d) themselves."""
         m, d, x = self.c.all.m, self.d, self.arrays
         row, near, _ = self.everyone
-        own, between = x["own"][: m * d * d].reshape(m, d, d), x["W"][: len(row) * d * d].reshape(-1, d, d)
-        W = dense_compliance(own, between, row, near)
-        return W, x["u"][: m * d].copy(), x["mu"][:m].copy(), x["f"][: m * d].reshape(m, d)
+        W = np.zeros((m, d, m, d))
+        W[range(m), :, range(m)] = x["own"][: m * d * d].reshape(m, d, d)
+        W[row, :, near] = x["W"][: len(row) * d * d].reshape(-1, d, d)
+        return W.reshape(m * d, m * d), x["u"][: m * d].copy(), x["mu"][:m].copy(), x["f"][: m * d].reshape(m, d)
 
     def count(self, counts: ContactCounts) -> None:
         """Add what was counted since the last call."""

@@ -101,7 +101,8 @@ typedef struct {
     double *rows, *drift, *rate;              /* of closed contacts: components x 2 wide, body axes; tangential; of gaps */
     double *before, *rebound;                 /* of closed contacts: rates before a part; what normals that bounce come back with */
     double *slip;                             /* of closed contacts at the start of a flight, along the axes of its middle */
-    Problem all, asked;                       /* of all closed contacts; of a group, what Python is asked */
+    Problem all;                              /* of all closed contacts */
+    int unsolved;                             /* contacts of the group whose forces were not found in a march */
     Graph graph;
     Blocks blocks;
     int trees;                                /* parts of the factor that nothing couples; */

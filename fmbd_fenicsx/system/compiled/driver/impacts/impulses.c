@@ -44,7 +44,7 @@ static Problem problem_of(const Contacts *c, int g)
 
 /* Impulses of all closed contacts from ``start``, under which they open by c->open; 1 where they are not found. Groups that do not
    move each other are problems of their own: what is hard in one heap is not asked of all. */
-static int impulses(Contacts *c, const double *start, double t)
+static int impulses(Contacts *c, const double *start)
 {
     const size_t size = c->all.m * c->components * sizeof(double);
     memcpy(c->all.f, start, size);
@@ -52,9 +52,8 @@ static int impulses(Contacts *c, const double *start, double t)
     for (int g = 0; g < c->graph.groups; g++) {
         Problem group = problem_of(c, g);
         if (!contact_forces(c, &group, g) || !frictional_forces(c, &group)) continue;
-        c->asked = group;
-        if (c->python(COMPLEMENTARITY, group.m, t)) return 1;
-        open_under(&group, c->components, group.f, group.u);
+        c->unsolved = group.m;
+        return 1;
     }
     return 0;
 }
@@ -88,12 +87,12 @@ static double work_of_impact(const Contacts *c, double share, double *size)
 
 /* Impulses with the largest share of the rebound by which an impact adds no energy, as schemes/impacts/restitution.py finds it; the
    rebound is what is left of it. 1 where they are not found. */
-static int lawful_impulses(Contacts *c, const double *start, double t)
+static int lawful_impulses(Contacts *c, const double *start)
 {
     const int m = c->all.m;
     double lower = 0.0, upper = 1.0, share = 1.0, least = 0.0, most, size, work;
     int bounces = 0, side = 0;
-    if (impulses(c, start, t)) return 1;
+    if (impulses(c, start)) return 1;
     for (int k = 0; k < m; k++) bounces |= c->bouncing[c->closed[k]] && c->rebound[k] < 0.0;
     if (!bounces) return 0;
     most = work_of_impact(c, 1.0, &size);
@@ -105,7 +104,7 @@ static int lawful_impulses(Contacts *c, const double *start, double t)
         if (round && !(next > lower && next < upper)) next = 0.5 * (lower + upper);
         for (int k = 0; k < m; k++) open_by(c, k, shared(c, k, next) - shared(c, k, share));
         share = next;
-        if (impulses(c, start, t)) return 1;
+        if (impulses(c, start)) return 1;
         work = work_of_impact(c, share, &size);
 
         if (!round) {
@@ -125,7 +124,7 @@ static int lawful_impulses(Contacts *c, const double *start, double t)
 
     if (share != lower) {
         for (int k = 0; k < m; k++) open_by(c, k, shared(c, k, lower) - shared(c, k, share));
-        if (impulses(c, start, t)) return 1;
+        if (impulses(c, start)) return 1;
     }
     for (int k = 0; k < m; k++) {
         c->rate[c->closed[k]] -= c->rebound[k] - shared(c, k, lower);
@@ -188,7 +187,7 @@ static int increments_with_impulses(System *s, Contacts *c, Part o, Block now, B
     for (int k = 0; k < n; k++) c->open[k] = c->all.q[k] + along(c, closed[k / d], c->rows + 2 * c->wide * k, c->push);
 
     memcpy(change, c->all.f, n * sizeof(double));
-    if (lawful_impulses(c, change, o.middle)) return LOOK;
+    if (lawful_impulses(c, change)) return LOOK;
     for (int k = 0; k < n; k++) change[k] = c->all.f[k] - change[k];
     add_push(s, c, change, x, y);
     return DONE;
