@@ -167,7 +167,7 @@ from .system.sensors.contact import contact_gap as contact_gap
 from .system.sensors.contact import contact_impulse as contact_impulse
 from .system.sensors.contact import contact_pressure as contact_pressure
 from .system.sensors.contact import contact_work as contact_work
-from .system.sensors.field import largest as largest
+from .system.sensors.points import largest as largest
 from .system.sensors.sensors import acceleration as acceleration
 from .system.sensors.sensors import angular_velocity as angular_velocity
 from .system.sensors.sensors import coordinates as coordinates
@@ -195,4 +195,4 @@ from .system.sensors.elements import elongation as elongation
 from .system.sensors.elements import tension as tension
 
 __version__: str
-from .post.versions import about as about
+from .post.report import about as about
