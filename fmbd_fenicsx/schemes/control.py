@@ -27,6 +27,9 @@ NO_ERROR = 1e-10  # smaller ones are none
 REFUSED = 0.1, 0.9  # least and most that is left of the size of a step that its error has refused
 PATIENCE = 40  # refusals of one step
 ESTIMATE = "error estimate"  # the cause of those by a step's error; others are failures of its iteration
+DEARLY = "found dearly"  # of a step whose cheap iteration failed and whose dear one did not: across stiff springs that turn the
+SHORTER = 0.25  # cheap one finds steps of this share of its size
+FIRST_PAUSE = 4  # steps
 FADING = 0.8  # of the largest error of late, from step to step
 
 
@@ -87,12 +90,15 @@ class StepControl:
         self.h_old, self.error_old = h, max(error, LEAST_ERROR)
         # after a rejection the step does not grow at once
         self.since += 1
-        if self.dear and any(cause != ESTIMATE for *_, cause in self.rejections):
-            self.pause = 2 * self.pause if self.since <= 2 * self.pause else 1
+        dearly = bool(self.rejections) and self.rejections[-1][2] == DEARLY
+        if dearly and self.since < self.pause:
+            self.pause = 0  # shorter steps were no cure
+        elif dearly or (self.dear and any(cause != ESTIMATE for *_, cause in self.rejections)):
+            self.pause = max(2 * self.pause, FIRST_PAUSE) if self.since <= 2 * self.pause else FIRST_PAUSE
             self.since = 0
-        steady = bool(self.rejections) or self.since < self.pause
+        most = 1.0 if self.rejections or self.since < self.pause else self.grow
         self.rejections.clear()
-        factor = min(max(factor, self.shrink), 1.0 if steady else self.grow)
+        factor = min(max(factor, self.shrink), SHORTER if dearly and self.pause else most)
         return h * factor
 
     def proposal(self, proposed: float, limit: float) -> float:

@@ -37,7 +37,7 @@ from ...system.element_memory import memory_error
 from ...system.layout import State, States
 from ...system.serialisation import plain
 from ...system.system import System
-from ..control import ESTIMATE, StepControl, moves, turn_limit, turns_too_far
+from ..control import DEARLY, ESTIMATE, StepControl, moves, turn_limit, turns_too_far
 from ..dae import GGL, Form, OfForm, Points
 from ..error_norm import check_controlled
 from ..implicit.implicit_stepper import ImplicitStepper
@@ -198,6 +198,8 @@ class RadauStepper(ImplicitStepper):
                     # masses and directions of constraints are those of stages that ran away
                     if isinstance(points, str):
                         iteration.tangent = None
+                    else:
+                        self.control.rejections.append((s.t, h, DEARLY))
 
             if not isinstance(points, str):
                 error, cause = self._estimate(h, points), ESTIMATE

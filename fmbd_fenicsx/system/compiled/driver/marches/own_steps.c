@@ -111,6 +111,8 @@ static int lets_pass(const OwnSteps *c, const Passing *found) { return found->er
 /* The size that is proposed first, where a controller proposes so much. */
 static double proposal(const OwnSteps *c, double next) { return c->given != 0.0 ? INFINITY : next; }
 
+enum { FIRST_PAUSE = 4 }; /* of growth, steps */
+
 /* Take note of a step that has passed. */
 static void note_passing(OwnSteps *c, const Passing *found)
 {
@@ -118,7 +120,7 @@ static void note_passing(OwnSteps *c, const Passing *found)
     c->refused += found->refused;
     c->since += 1.0;
     if (found->failures && c->first > 0.0) {
-        c->pause = c->since <= 2.0 * c->pause ? 2.0 * c->pause : 1.0;
+        c->pause = c->since <= 2.0 * c->pause ? fmax(2.0 * c->pause, FIRST_PAUSE) : FIRST_PAUSE;
         c->since = 0.0;
     }
     c->trouble = fmax(c->trouble + 2 * found->failures - 1, 0.0);
