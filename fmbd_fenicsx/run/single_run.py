@@ -194,7 +194,7 @@ def _run(task: Task, built: Built, finished: FinishedMarch) -> Run:
         correction=finished.start.correction,
         local_error=marched.local_error,
         memory=_peak_memory(system.comm),
-        newton_accuracy=task.newton.accuracy,
+        newton_accuracy=finished.problem.said.accuracy(task.newton),
         # what users should know
         status=marched.status,
         step_limit=task.schedule.largest,

@@ -111,6 +111,7 @@ class OfForm:
 
     form: Form
     forgets: ClassVar[bool] = True
+    weighs: ClassVar[bool] = True
     finds_memories: ClassVar[bool] = True
 
     @property

@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from functools import cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..checks import shown
 from ..errors import InputError
 from ..system.scene.contents import Contents
+
+if TYPE_CHECKING:
+    from .newton import Newton
 
 
 @dataclass(frozen=True)
@@ -32,6 +35,7 @@ class Declared:
     ``looks_ahead``: under error control it looks for loads that come within a step before it tries one.
     ``carries_accelerations``: those of a step are told by those of the step before.
     ``early``: bodies rest before the last of their impacts, where these are over within a step, and may do otherwise.
+    ``weighs``: under error control increments of Newton's iteration count as shares of its tolerance.
     ``timeless``: no scheme in time at all, as the pictures of a mode. ``compiled``: whether compiled code may evaluate.
     """
 
@@ -52,6 +56,7 @@ class Declared:
     looks_ahead: bool = False
     carries_accelerations: bool = False
     early: bool = False
+    weighs: bool = False
     timeless: bool = False
     compiled: bool = True
 
@@ -90,6 +95,10 @@ class Declared:
     def adaptive(self) -> bool:
         """Whether the scheme chooses its steps."""
         return self.rtol is not None
+
+    def accuracy(self, newton: Newton) -> float:
+        """Mean relative error that iterations have left."""
+        return newton.share * (self.rtol if self.weighs and self.rtol else newton.tolerance)
 
     @property
     def levels(self) -> tuple[int, ...]:

@@ -177,9 +177,9 @@ class Newton:
         return max(min(self.tolerance * accelerated, CLOSING * SHUT * length), floor)
 
     @property
-    def accuracy(self) -> float:
-        """Mean relative error that the iterations leave: the tolerance, or less where it is known."""
-        return self.tolerance * min(1.0, self.left / self.solved if self.solved else 1.0)
+    def share(self) -> float:
+        """What the iterations leave in the mean, over the tolerance: all of it, or less where that is known."""
+        return min(1.0, self.left / self.solved if self.solved else 1.0)
 
 
 def above_roundoff(ev: Evaluation, lam: Array, r: Array, g: Array) -> Array:

@@ -27,7 +27,7 @@ def tighter_run(problem: Problem, made: Compared, of_time: Mapping[str, Deviatio
     """
     newton, recorder = problem.newton, made.recorder
     spans = moving(recorder.series, recorder.scene.sensors)
-    left = newton.accuracy
+    left = problem.said.accuracy(newton)
     seen = any(left * span > SEEN * of_time[name].size for name, span in spans.items() if name in of_time)
     if not seen or left <= ROUNDOFF:
         return None

@@ -34,7 +34,7 @@ from ..damped import damped_vibrations
 from ..deviation import Deviation
 from ..early_rest import with_early_rest
 from ..equal_steps import Orders, TimeError, astray, between, known_orders
-from ..estimates import usual_errors, warn_of_uncertain, with_damped
+from ..estimates import usual_errors, warn_of_uncertain, with_damped, with_single_ends
 from .attempts import Attempt, of_jumps, of_space
 from .dear_attempt import tell_of_dear_attempt
 from .failures import Failures
@@ -58,6 +58,7 @@ from .shared_spaces import SharedSpaces
 from .shares import (
     AIM,
     DOUBTED,
+    ITERATED,
     SAFE,
     WHOLE,
     Allowed,
@@ -288,8 +289,7 @@ def _default(scene: Scene, t_end: float) -> Any:
     an error that depends on where it falls, and that other steps of equal size do not tell. So does early rest.
     """
     scheme = default_scheme(scene)
-    if Declared.by(scheme).early:
-        return replace(scheme, early=False)
+    scheme = replace(scheme, early=False) if Declared.by(scheme).early else scheme
     jumps = any(0.0 < t < t_end for t in scene.breakpoints)
     return replace(scheme, rtol=LOOSEST) if jumps and isinstance(scheme, GeneralizedAlpha) else scheme
 
@@ -374,7 +374,11 @@ def _time_error(plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, solved:
     too_coarse = any(share_of(x) > AIM for x in plan.known.errors.values() if x)
     allowed = Allowed(tuple(tol), share_of, room, rough=alone or looked, last=not too_coarse)
     if not plan.steps:
-        return shared.tolerance_error(solved, allowed)
+        found = shared.tolerance_error(solved, allowed)
+        if not allowed.nearly_lets(found.errors):
+            return found
+        given, matters = solved.compared, lambda peaks: share_of(peaks) > ITERATED
+        return replace(found, errors=with_single_ends(found.errors, solved.problem, given, matters))
     found = shared.time_error(solved, plan.orders, allowed)
     made, errors = found.instead or solved, found.errors
     if allowed.nearly_lets(errors):
