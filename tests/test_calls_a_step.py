@@ -154,6 +154,25 @@ def test_tangents_take_slopes_of_forces(scheme: Any) -> None:
     assert each < getattr(scheme, "stages", 1) * (increments + 1.0) + 3.0 * tangents
 
 
+@compiled
+def test_laws_are_asked_once_for_all_stages() -> None:
+    """Of an increment, with arrays of all elements and times, and one of them alone beside; the end of the step asks anew."""
+    asked: list[float] = []
+
+    def scene() -> fmbd.Scene:
+        scene, _ = chain(8)
+        law = lambda x, rate, t: (asked.append(0.0), 20 * np.sin(x) + rate * np.cos(t))[1]  # noqa: E731
+        scene.add(*(fmbd.joint_spring(f"law {name}", fmbd.angle(pin), law=law) for name, pin in scene.joints.items()))
+        return scene
+
+    scheme = fmbd.Radau(5, rtol=None)
+    found, each = calls_a_step(scene, scheme, asked)
+    runs = [fmbd.solve(scene(), t_end=k * DT, dt=DT, scheme=scheme).counters for k in (20, 60)]
+    increments, tangents = ((runs[1][x] - runs[0][x]) / 40 for x in ("newton_iterations", "jacobians"))
+    assert each < 2 * (increments + 2.0) + 4.0 * tangents
+    assert found < AROUND + 8.0 * each
+
+
 def test_a_function_is_asked_by_one_call_more() -> None:
     """Usual answers pass at a glance: of a motion, a law, and a joint by a function of numbers, once they are known."""
     motion = smooth_motion("drive", lambda t: 0.5 * float(t))

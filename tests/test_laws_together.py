@@ -119,6 +119,29 @@ def test_arrays_give_what_numbers_give(make: Callable[[], list[Law]]) -> None:
     assert together.kinds[0].takes_arrays == (make in TAKEN)
 
 
+def of_time() -> list[Law]:
+    return [lambda s, rate, t, k=k: k * s * np.sin(t) for k in NUMBERS.tolist()]
+
+
+def of_time_by_math() -> list[Law]:
+    return [lambda s, rate, t, k=k: k * s * math.sin(t) for k in NUMBERS.tolist()]
+
+
+@pytest.mark.parametrize("make", [*TAKEN, *REFUSED, of_time, of_time_by_math])
+def test_points_of_a_step_are_asked_together(make: Callable[[], list[Law]]) -> None:
+    """With an array of times where the law takes one, else with arrays of elements a time after the other, or with numbers."""
+    laws = make()
+    together = LawsTogether([Repeatable("The law of spring", f"{i}", law) for i, law in enumerate(laws)])
+    for first in (0.5, 0.7, 2.0, 2.5):
+        times = first + np.array([[0.0], [0.1], [0.3]])
+        s, rate = S + times, RATE * times
+        rows = [alone(laws, *row) for row in zip(s, rate, times.ravel().tolist(), strict=True)]
+        assert np.allclose(together(s, rate, times), rows, rtol=1e-14, atol=1e-15)
+    kind = together.kinds[0]
+    assert kind.takes_times == (make in (*TAKEN, of_time))
+    assert kind.takes_times or kind.takes_arrays == (make is of_time_by_math)
+
+
 def test_variable_that_changes_later_is_seen() -> None:
     def make(k: float) -> tuple[Callable[[], None], Law]:
         def change() -> None:

@@ -12,11 +12,11 @@ call by one of them in turn. A kind that does not take arrays is asked element b
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
-from itertools import cycle
+from itertools import cycle, repeat
 from math import isfinite
 from operator import attrgetter, is_
 from types import CellType, FunctionType, MethodType
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -33,6 +33,7 @@ ASIDE = np.array(((1.0, -1.0, 0.0, 0.0), (0.0, 0.0, 1.0, -1.0)))[
 LEAST = 1e-3  # size of these (of the model, and that a second)
 SAME = 1e-9  # relative, of arrays against numbers: their functions may round in other ways
 GAUSS = (0.5 - 0.15**0.5, 5 / 18), (0.5, 4 / 9), (0.5 + 0.15**0.5, 5 / 18)  # points and weights, of means over a step
+Times: TypeAlias = float | Array  # one, or (k, 1) of as many rows of elements
 _content = attrgetter("cell_contents")
 
 
@@ -55,8 +56,8 @@ class LawsTogether:
             kinds.setdefault(_kind(law.function), []).append(i)
         self.kinds = [OneKind([laws[i] for i in which], np.array(which)) for which in kinds.values()]
 
-    def __call__(self, s: Array, rate: Array, t: float) -> Array:
-        """N at elongations and rates: all (.., n)."""
+    def __call__(self, s: Array, rate: Array, t: Times) -> Array:
+        """N at elongations and rates: all (.., n); at one time, or (k, n) at as many times."""
         if s.size < FEW:
             return _alone(self.laws, s, rate, t)
         if len(self.kinds) == 1:
@@ -87,7 +88,9 @@ class OneKind:
 
     def __init__(self, laws: Sequence[Repeatable], which: np.ndarray) -> None:
         self.laws, self.which = laws, which
-        self.takes_arrays: bool | None = None  # None: not tried yet
+        # whether arrays of elements, and those at several times, give what numbers give; None: not tried yet
+        self.takes_arrays: bool | None = None
+        self.takes_times: bool | None = None
         self.turn = 0  # who is asked alone next
 
         functions = [law.function for law in laws]
@@ -96,38 +99,52 @@ class OneKind:
         self.contents = [x.cell_contents for x in self.cells]
         self.function = _of_arrays(functions)
 
-    def __call__(self, s: Array, rate: Array, t: float) -> Array:
+    def __call__(self, s: Array, rate: Array, t: Times) -> Array:
         """N at elongations and rates: all (.., n)."""
-        if self.takes_arrays is False or s.size < FEW or AGREEMENTS:
+        by_rows = not isinstance(t, float) and self.takes_times is False
+        if self.takes_arrays is False or (s[0] if by_rows else s).size < FEW or AGREEMENTS:
             return _alone(self.laws, s, rate, t)
         if self.cells and not all(map(is_, map(_content, self.cells), self.contents)):
             return _alone(self.laws, s, rate, t)  # somebody changed a variable: it may be no number any more
-        single = _alone(self.laws, s, rate, t) if self.takes_arrays is None else None
+        if isinstance(t, float) or by_rows:
+            self.takes_arrays, found = self._tried(s, rate, t, self.takes_arrays)
+        else:
+            self.takes_times, found = self._tried(s, rate, t, self.takes_times)
+        return found
+
+    def _tried(self, s: Array, rate: Array, t: Times, known: bool | None) -> tuple[bool, Array]:
+        """Whether arrays are taken as numbers are, None where that is not ``known`` yet, and N."""
+        single = _alone(self.laws, s, rate, t) if known is None else None
         found = self._together(s, rate, t)
         if found is None or (single is not None and not _same(found, single)):
-            self.takes_arrays = False
-            return _alone(self.laws, s, rate, t) if single is None else single
+            return False, _alone(self.laws, s, rate, t) if single is None else single
 
         # one of them alone: what differs shows itself within a few calls
-        self.turn = (self.turn + 1) % len(self.laws)
-        at = (0,) * (s.ndim - 1) + (self.turn,)
-        one = self.laws[self.turn].number(float(s[at]), float(rate[at]), t)
+        self.turn += 1
+        at = tuple([self.turn % size for size in s.shape])
+        law, now = self.laws[at[-1]], t if isinstance(t, float) else float(t[at[0], 0])
+        one = law.number(float(s[at]), float(rate[at]), now)
         off = abs(one - found[at])
-        self.takes_arrays = bool(off <= SAME * abs(one) or off <= SAME * 1e-3 * float(np.abs(found).max()))
-        if not self.takes_arrays and single is None:
+        if off <= SAME * abs(one) or off <= SAME * 1e-3 * float(np.abs(found).max()):
+            return True, found
+        if single is None:
             log.warning(
                 'the law of "%s" gives %.9g with numbers and %.9g with arrays at t = %g s, although it agreed before: it is '
                 "asked with numbers from now on. Write branches (if) with numpy.where",
-                self.laws[self.turn].name, one, found[at], t,
+                law.name, one, found[at], now,
             )  # fmt: skip
-        return found if self.takes_arrays else _alone(self.laws, s, rate, t)
+        return False, _alone(self.laws, s, rate, t)
 
-    def _together(self, s: Array, rate: Array, t: float) -> Array | None:
+    def _together(self, s: Array, rate: Array, t: Times) -> Array | None:
         """The same by arrays; None where there is no such answer."""
         s, rate = s.view(), rate.view()
         s.flags.writeable = rate.flags.writeable = False  # numbers cannot be changed by a law either
         try:
-            found = self.function(s, rate, t)
+            if isinstance(t, float) or self.takes_times is not False:
+                found = self.function(s, rate, t)
+            else:
+                times = t.ravel().tolist()
+                found = np.array([self.function(x, v, now) for x, v, now in zip(s, rate, times, strict=True)])
             good = (
                 isinstance(found, np.ndarray) and found.shape == s.shape and isfinite(np.add.reduce(found, axis=None))
             )
@@ -136,10 +153,11 @@ class OneKind:
         return np.asarray(found, dtype=float) if good else None
 
 
-def _alone(laws: Sequence[Repeatable], s: Array, rate: Array, t: float) -> Array:
+def _alone(laws: Sequence[Repeatable], s: Array, rate: Array, t: Times) -> Array:
     """N at elongations and rates, all (.., n), each number by itself."""
-    numbers = zip(cycle(laws), s.ravel().tolist(), rate.ravel().tolist(), strict=False)
-    return np.array([law.number(x, v, t) for law, x, v in numbers]).reshape(s.shape)
+    times = repeat(t) if isinstance(t, float) else t.repeat(len(laws)).tolist()
+    numbers = zip(cycle(laws), s.ravel().tolist(), rate.ravel().tolist(), times, strict=False)
+    return np.array([law.number(x, v, now) for law, x, v, now in numbers]).reshape(s.shape)
 
 
 def _slopes(

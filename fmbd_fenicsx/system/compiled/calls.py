@@ -128,6 +128,7 @@ class Calls:
         said: dict[str, Callable[[int, float], None]] = {
             "SAMPLE": self.sample,
             "EFFORT": lambda number, t: self._effort(tables.sources[number], t),
+            "EFFORTS_AHEAD": lambda number, count: self._efforts_ahead(tables.sources[number], int(count)),
             "EFFORT_MEANS": lambda number, t: self._mean_effort(tables.sources[number], t),
             "SLOPES": lambda number, t: self._slopes(tables.sources[number], t),
             "KEEP": lambda number, t: tables.listening.keep(t),
@@ -220,6 +221,14 @@ class Calls:
         x = items.arrays
         assert items.law is not None
         x["effort"][:] = items.law(x["s"] - x["free"], x["rate"], t)
+
+    def _efforts_ahead(self, items: Items, count: int) -> None:
+        """N at so many points of a step."""
+        free, points = items.arrays["free"], items.ahead[:count]
+        n = free.size
+        assert items.law is not None
+        s, rate = points[:, 1 : 1 + n] - free, points[:, 1 + n : 1 + 2 * n]
+        points[:, 1 + 2 * n :] = items.law(s, rate, points[:, :1])
 
     def _mean_effort(self, items: Items, t: float) -> None:
         """Means of laws over a step, from the coordinates where it begins on at their mean rates."""

@@ -221,7 +221,8 @@ EXPORT void driver_rate(const System *s, long count, const double *xi, long step
 EXPORT void driver_difference(const System *s, long count, const double *q0, long step, const double *q1, long end_step,
                               const double *near, long near_step, double *xi);
 int acting(System *s, const double *lam, double t);
-int foretell_parts(System *s, long count, const double *t, int each, const double *q, const double *xi, const double *v, const double *a);
+int foretell_points(System *s, long count, const double *t, int each, const double *q, const double *xi, const double *v, const double *a,
+                    double *room);
 int body_forces(System *s, const double *q, const double *v, const double *a, double t);
 void derivatives_in_time(System *s, double *partial, double *second);
 int efforts(System *s, Batch *k, double t);

@@ -30,7 +30,7 @@ static void along_part(const Body *o, const double *q, const double *v, double *
     }
 }
 
-/* Ask by one call for the forces of a part whose frame rests, see foretell_parts(). */
+/* Ask by one call for the forces of a part whose frame rests, see foretell_points(). */
 int foretell_part(System *s, const Body *o, int count, const double *t, int each, const double *q, const double *xi, const double *v,
                   const double *a)
 {

@@ -71,7 +71,7 @@ EXPORT int driver_balances(System *s, long count, const double *t, const double 
                            const double *lam, double *out)
 {
     double *none = s->work, last = NAN;
-    int verdict = foretell_parts(s, count, t, 1, q, NULL, v, a);
+    int verdict = foretell_points(s, count, t, 1, q, NULL, v, a, NULL);
     if (verdict) return verdict;
     if (!lam) memset(none, 0, s->rows * sizeof(double));
 
@@ -203,7 +203,7 @@ EXPORT int driver_batch(System *s, long count, const double *t, const double *q,
                         double *sums, double *gap, double *slip, double *partial, double *second)
 {
     double *none = s->work, last = NAN;
-    int verdict = foretell_parts(s, count, t, 1, q, NULL, v, a);
+    int verdict = foretell_points(s, count, t, 1, q, NULL, v, a, NULL);
     if (verdict) return verdict;
     if (!lam) memset(none, 0, s->rows * sizeof(double));
 

@@ -61,12 +61,63 @@ void turn_velocity(System *s, const double *v)
     }
 }
 
-/* Ask for the forces of parts that tell those of many points together: at q o exp(xi), one q for all or ``each`` its own (xi NULL). */
-int foretell_parts(System *s, long count, const double *t, int each, const double *q, const double *xi, const double *v, const double *a)
+/* Coordinates s, rates s' and efforts that are linear in them. */
+static void coordinates(const System *s, const Batch *k)
 {
-    int verdict = DONE;
-    for (const Body *o = s->body; o < s->body + s->bodies && !verdict; o++)
-        if (o->told && o->told->ahead && count > 1 && count <= MOST_STAGES) verdict = foretell_part(s, o, count, t, each, q, xi, v, a);
+    const double *out = k->out;
+    const int *at = k->at;
+    for (long i = 0; i < k->n; i++, out += k->outputs, at += k->live) {
+        double rate = 0.0;
+        for (int e = 0; e < k->live; e++) rate += out[k->entry[e]] * s->velocity[at[e]];
+        k->s[i] = out[0];
+        k->rate[i] = rate;
+        if (k->role == LINEAR || k->role == READ) k->effort[i] = k->stiffness[i] * (out[0] - k->free[i]) + k->damping[i] * rate;
+    }
+}
+
+/* Whether a law in Python is asked where points of a step are evaluated. */
+static int asks_ahead(const System *s, const Batch *k) { return k->ahead && (s->bent || !is_held(s, k)); }
+
+/* What laws in Python see at point j: t, s and s'. */
+static void note_coordinates(System *s, long j, double t)
+{
+    for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
+        if (!asks_ahead(s, k)) continue;
+        double *x = k->ahead + j * (1 + 3 * k->n);
+        values(s, k);
+        coordinates(s, k);
+        x[0] = t;
+        memcpy(x + 1, k->s, k->n * sizeof(double));
+        memcpy(x + 1 + k->n, k->rate, k->n * sizeof(double));
+    }
+}
+
+/* Ask once each for what parts and laws in Python do at many points, q o exp(xi), one q for all or ``each`` its own (xi NULL): the
+   evaluations of these follow. Parts that act by accelerations are left out where these are not known (a NULL). ``room``: nq, NULL
+   without xi. */
+int foretell_points(System *s, long count, const double *t, int each, const double *q, const double *xi, const double *v, const double *a,
+                    double *room)
+{
+    int verdict = DONE, laws = 0;
+    if (count < 2 || count > MOST_STAGES) return DONE;
+    for (const Body *o = s->body; a && o < s->body + s->bodies && !verdict; o++)
+        if (o->told && o->told->ahead) verdict = foretell_part(s, o, count, t, each, q, xi, v, a);
+    for (const Batch *k = s->batch; k < s->batch + s->batches; k++) laws += asks_ahead(s, k);
+
+    for (long j = 0; laws && j < count && !verdict; j++) {
+        const double *there = q + each * j * s->nq;
+        if (xi) configuration(s, q, xi + j * s->nv, room), there = room;
+        if (place(s, there, v + j * s->nv)) return DONE; /* whoever evaluates the point says why */
+        note_coordinates(s, j, t[j]);
+    }
+
+    for (Batch *k = s->batch; k < s->batch + s->batches && !verdict; k++) {
+        if (!asks_ahead(s, k)) continue;
+        s->calls++;
+        if (s->python(EFFORTS_AHEAD, k->number, count)) return FAILED;
+        k->known_to = s->evaluations + count;
+        k->points = (int)count;
+    }
     return verdict;
 }
 
@@ -104,6 +155,16 @@ int inertia(System *s, const double *q, const double *v, const double *a, double
     return verdict;
 }
 
+/* N of a law in Python where it has been asked for ahead, else NULL. */
+static const double *effort_ahead(const System *s, const Batch *k, double t)
+{
+    const double *x = k->ahead;
+    for (int j = 0; s->evaluations <= k->known_to && j < k->points; j++, x += 1 + 3 * k->n)
+        if (x[0] == t && !memcmp(x + 1, k->s, k->n * sizeof(double)) && !memcmp(x + 1 + k->n, k->rate, k->n * sizeof(double)))
+            return x + 1 + 2 * k->n;
+    return NULL;
+}
+
 /* N of a batch at its s and s'. */
 static int law_of_state(System *s, Batch *k, const void *none, double t)
 {
@@ -111,6 +172,11 @@ static int law_of_state(System *s, Batch *k, const void *none, double t)
     for (long i = 0; k->role == FORMULA && i < k->n; i++) formula(k, i, t);
     if (k->role != LAW) return DONE;
     if (k->act) return control_effort(s, k, t);
+    const double *ahead = effort_ahead(s, k, t);
+    if (ahead) {
+        memcpy(k->effort, ahead, k->n * sizeof(double));
+        return DONE;
+    }
     s->calls++;
     return s->python(EFFORT, k->number, t) ? FAILED : DONE;
 }
@@ -151,16 +217,7 @@ static void give_efforts(const System *s, Batch *k)
 /* Coordinates s, rates s' and efforts of a batch; what a law in Python gives comes with one call for all items. */
 int efforts(System *s, Batch *k, double t)
 {
-    const double *out = k->out;
-    const int *at = k->at;
-    for (long i = 0; i < k->n; i++, out += k->outputs, at += k->live) {
-        double rate = 0.0;
-        for (int e = 0; e < k->live; e++) rate += out[k->entry[e]] * s->velocity[at[e]];
-        k->s[i] = out[0];
-        k->rate[i] = rate;
-        if (k->role == LINEAR || k->role == READ) k->effort[i] = k->stiffness[i] * (out[0] - k->free[i]) + k->damping[i] * rate;
-    }
-
+    coordinates(s, k);
     if (s->ties) give_efforts(s, k);
     const int law = k->role == FORMULA || k->role == LAW;
     if (s->straight && law && !is_held(s, k)) return along_tangents(s, k, t);

@@ -212,7 +212,7 @@ EXPORT int driver_points(System *s, long count, const double *t, const double *q
 {
     const Sparse metric = {s->nv, W_start, W_on, W};
     double last = NAN;
-    int verdict = foretell_parts(s, count, t, 0, q0, xi, v, a);
+    int verdict = foretell_points(s, count, t, 0, q0, xi, v, a, room);
     if (verdict) return verdict;
     for (long i = 0; i < count; i++, xi += s->nv, v += s->nv, a += s->nv, rates += s->nv, sums += s->nv) {
         long at = i * s->rows;
@@ -271,7 +271,10 @@ static int stage_residuals(System *s, const Stages *o, int increments)
 
     s->bridged = s->swung = 0;
     if (o->fields) o->fields->aligned = 0;
-    if (o->levels < 3 && (verdict = foretell_parts(s, o->points, o->t, 0, o->q0, o->xi, o->v, o->vd))) return verdict;
+    s->iterate = o->iterate;
+    verdict = foretell_points(s, o->points, o->t, 0, o->q0, o->xi, o->v, o->levels < 3 ? o->vd : NULL, o->local);
+    s->iterate = ON_ITS_OWN;
+    if (verdict) return verdict;
     for (int j = 0; j < o->points; j++) {
         double *kin = o->kin + j * n, *low = o->low + j * size, *mult = o->mult + j * (size - n);
         if ((verdict = sample_point(s, o, j, known))) return verdict;

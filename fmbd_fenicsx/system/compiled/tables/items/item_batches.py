@@ -20,6 +20,7 @@ from .items import FORMULA, LAW, READ, Items
 if TYPE_CHECKING:
     from ..layout import TableLayout
 
+MOST_STAGES = enumeration("MOST_STAGES")["MOST_STAGES"]  # points of a step
 FORMULAS = enumeration("SERVO", "forces/formulas.c")
 LINE, MOST_POINTS = enumeration("LINE").values()  # numbers that stand for a law, at each of so many points
 TURNS = {"turn_a": 0, "turn_b": 1}  # those that turn from the axes of a marker into those of its frame
@@ -120,6 +121,8 @@ def item_batch(tables: TableLayout, items: Items, number: int) -> Any:
     if items.role in (LAW, FORMULA):
         one.line = store.zeros({"line": (MOST_POINTS, n, LINE)})["line"][1]
         one.bridges = store.integers(np.zeros(n))
+    if items.law is not None:
+        items.ahead, one.ahead = store.array(np.zeros((MOST_STAGES, 1 + 3 * n)))
     items.table, one.P = room["P"]
     items.arrays["out"] = room["out"][0]
     _constants(tables, items, items.table)

@@ -70,6 +70,7 @@ class Items:
     terms: list[Items] = field(default_factory=list)
     shift: Array | None = None
     frames: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), int))  # of both sides
+    ahead: Array = field(default_factory=lambda: np.zeros((0, 1)))  # t, s, s' and N of a law at points of a step
     loads: Loads | None = None  # springs and dampers: whose they are, and their numbers there
     number: np.ndarray | None = None
     batch: Any = None  # the structure
