@@ -11,7 +11,7 @@ from ..agreement import OneAnswer
 from ..linear.condensation import StepSolver
 from ..notices import Gathered
 from ..rotations import Array
-from ..schemes.consistent import Correction, consistent
+from ..schemes.consistent import Correction, behind_a_jump, consistent
 from ..schemes.declared import Declared
 from ..schemes.newton import Newton
 from ..schemes.stepping import TimeStepper, made_stepper
@@ -151,12 +151,9 @@ def _made_anew(problem: Problem, solver: StepSolver, before: TimeStepper | None,
         ev.forces = state.a, state.lam
         ev.take_tangents()
 
-    def start() -> State:
-        return consistent(system, state, solver, h=h)[0]
-
-    if before is not None and before.begin_anew(start):
+    if before is not None and before.begin_anew(lambda: behind_a_jump(system, state, solver, h=h)):
         return before
-    return _stepper_from(problem, solver, start())
+    return _stepper_from(problem, solver, consistent(system, state, solver, h=h)[0])
 
 
 def _stepper_from(problem: Problem, solver: StepSolver, start: State) -> TimeStepper:

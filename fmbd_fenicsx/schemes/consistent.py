@@ -332,6 +332,17 @@ def widest(system: System, g: np.ndarray) -> str:
     return "" if closed else f"; the largest open constraint is {worst_block(system, g * system.row_units)}"
 
 
+def behind_a_jump(system: System, state: State, solver: StepSolver, *, h: float = 0.0) -> State:
+    """:func:`consistent` where forces have jumped at the end of a step: in one call, unless what drives prescribe has, too, or
+    rows may contradict each other. ``h``: the next step, s; collective.
+    """
+    driver = solver.driver if system.n_lam and not solver.core.redundant else None
+    found = None if driver is None else driver.arrived(state.t, state.q, state.v, places=True)
+    if found is not None and np.abs(found.q - state.q).max() <= FITS * system.length:
+        return found
+    return consistent(system, state, solver, h=h)[0]
+
+
 def arrived(system: System, state: State, solver: StepSolver, *, places: bool = True) -> State:
     """The end of a step: the state moved on the constraints by :func:`project`, its velocities alone where not ``places``, with a
     and lambda there; collective.

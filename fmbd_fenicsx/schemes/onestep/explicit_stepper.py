@@ -8,6 +8,7 @@ that tells of a kink of a drive. Source of the control: :mod:`..control`.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -98,8 +99,16 @@ class ExplicitStepper(OwnMarch):
 
     def restart(self, t: float) -> None:
         """Accelerations and multipliers behind a kink at t."""
-        self.state = arrived(self.system, replace(self.state, t=t), self.solver, places=False)
-        self.proposed, self.control.h_old, self.before = None, 0.0, None
+        self._begin_from(arrived(self.system, replace(self.state, t=t), self.solver, places=False))
+
+    def begin_anew(self, start: Callable[[], State]) -> bool:
+        """As :meth:`TimeStepper.begin_anew`."""
+        self._begin_from(start())
+        return True
+
+    def _begin_from(self, state: State) -> None:
+        """A consistent state, without a past."""
+        self.state, self.proposed, self.control.h_old, self.before = state, None, 0.0, None
 
     def between(self, t: float) -> State | None:
         """The state at a time t (s) within the last step, by the polynomial of the method; None after a new start; collective."""

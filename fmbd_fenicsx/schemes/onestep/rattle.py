@@ -34,7 +34,7 @@ from ...system.lengths import farthest
 from ...system.scene.contents import Contents
 from ...system.serialisation import Memory, plain
 from ...system.system import System
-from ..consistent import consistent
+from ..consistent import behind_a_jump
 from ..dae import positions_refused
 from ..marching import MarchingStepper
 from ..newton import Newton
@@ -91,7 +91,7 @@ class RattleStepper(MarchingStepper):
 
     def begin_anew(self, start: Callable[[], State]) -> bool:
         """Go on with the accelerations behind a jump: records within the next step lie between these and those of its end."""
-        self.state = consistent(self.system, start(), self.solver)[0]
+        self.state = behind_a_jump(self.system, start(), self.solver)
         self.ahead = np.zeros_like(self.state.a), np.zeros_like(self.state.lam)
         return True
 

@@ -46,7 +46,7 @@ from ....system.evaluation import Evaluation
 from ....system.layout import State
 from ....system.serialisation import plain, worker
 from ....system.system import System
-from ...consistent import consistent
+from ...consistent import behind_a_jump
 from ...control import ESTIMATE, FADING, Statistics, StepControl, first_step, moves, turn_limit
 from ...error_norm import NormOfWays
 from ...newton import Newton
@@ -149,7 +149,7 @@ class VariableAlpha(TimeStepper):
     def restart(self, t: float) -> None:
         """Go on behind a jump of forces: consistent accelerations and multipliers, a new stretch, small steps at first."""
         here, h = replace(self.state, t=t), self.resized.size or 0.0
-        self.inner.begin_anew(lambda: consistent(self.system, here, self.solver, h=h)[0])
+        self.inner.begin_anew(lambda: behind_a_jump(self.system, here, self.solver, h=h))
         self.resized.size = self.proposed = None
         self.stretch.forget()
         self.control.h_old = self.peak = 0.0

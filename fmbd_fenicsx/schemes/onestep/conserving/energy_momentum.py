@@ -53,7 +53,7 @@ from ....system.layout import State
 from ....system.scene.contents import Contents
 from ....system.serialisation import Memory, plain, worker
 from ....system.system import System
-from ...consistent import accelerations, consistent
+from ...consistent import accelerations, behind_a_jump
 from ...newton import Newton
 from .past_means import PastMeans
 from .steps_in_parts import NEAR, NOTHING, ROUNDOFF, StepsInParts
@@ -135,7 +135,7 @@ class EnergyMomentumStepper(StepsInParts):
 
     def begin_anew(self, start: Callable[[], State]) -> bool:
         """Go on with velocities on the constraints: what drives prescribe may jump, and the rule holds means only."""
-        self.state = consistent(self.system, start(), self.solver)[0]
+        self.state = behind_a_jump(self.system, start(), self.solver)
         return True
 
     def advance(self, h: float) -> State:
