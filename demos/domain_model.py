@@ -7,7 +7,7 @@ import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import demo, plot
 from fmbd_fenicsx.fem.elastic_forms import ElasticForms
 from fmbd_fenicsx.fem.fields import Field
-from fmbd_fenicsx.linear.blocks.elastic import Elastic
+from fmbd_fenicsx.linear.blocks.elastic_blocks import Elastic
 
 LENGTH, HEIGHT, PULSE, T_END = 2.0, 0.25, 1.2, 5.5  # m, m, s, s
 LAW = ElasticForms(fmbd.materials.linear_elastic(1.0, 0.0), 1.0, 2)  # wave speed 1 m/s

@@ -13,8 +13,7 @@ from fmbd_fenicsx.fem.elastic_forms import ElasticForms
 from fmbd_fenicsx.fem.fields import Field
 from fmbd_fenicsx.fem.traces.traces import trace_of
 from fmbd_fenicsx.linear.blocks.domain_decomposition import unassembled
-from fmbd_fenicsx.linear.blocks.elastic import Elastic
-from fmbd_fenicsx.linear.blocks.elastic_blocks import set_bddc
+from fmbd_fenicsx.linear.blocks.elastic_blocks import Elastic, set_bddc
 from fmbd_fenicsx.linear.blocks.spd import CholeskyFactor
 from fmbd_fenicsx.linear.rigid_modes import elastic_matrix
 

@@ -14,8 +14,7 @@ from test_mixed_momentum import free
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.linear.condensation import StepSolver
 from fmbd_fenicsx.materials import kelvin_voigt, linear_elastic, neo_hookean, saint_venant_kirchhoff
-from fmbd_fenicsx.schemes.onestep.conserving.energy_momentum import EnergyMomentumStepper
-from fmbd_fenicsx.schemes.onestep.conserving.tangent_age import TangentAge
+from fmbd_fenicsx.schemes.onestep.conserving.energy_momentum import EnergyMomentumStepper, TangentAge
 from fmbd_fenicsx.system.compiled.choice import use_driver
 from fmbd_fenicsx.system.compiled.tables.bodies.fields import FieldTable
 from fmbd_fenicsx.system.layout import State

@@ -21,8 +21,11 @@ from fmbd_fenicsx.fem.fields import Field  # noqa: E402
 from fmbd_fenicsx.fem.traces.multipliers import Aggregated, Continuous, Discontinuous, Dual, Ends  # noqa: E402
 from fmbd_fenicsx.fem.traces.stability import infsup  # noqa: E402
 from fmbd_fenicsx.linear.blocks.domain_decomposition import unassembled  # noqa: E402
-from fmbd_fenicsx.linear.blocks.elastic import Elastic  # noqa: E402
-from fmbd_fenicsx.linear.blocks.elastic_blocks import Multigrid, set_bddc  # noqa: E402
+from fmbd_fenicsx.linear.blocks.elastic_blocks import (  # noqa: E402
+    Elastic,  # noqa: E402
+    Multigrid,
+    set_bddc,
+)
 from fmbd_fenicsx.linear.presets import FieldSplit, Preset, Schur  # noqa: E402
 from fmbd_fenicsx.linear.rigid_modes import elastic_matrix  # noqa: E402
 from fmbd_fenicsx.linear.tie_preconditioner import Lumped  # noqa: E402

@@ -28,7 +28,7 @@ from ..matrices import dense
 from ..rotations import Array
 from ..system.evaluation import Evaluation
 from ..system.system import System
-from .blocks.elastic import Elastic
+from .blocks.elastic_blocks import Elastic
 from .residual import Judge
 from .rigid_modes import rigid_mass, rigid_modes
 from .tie_preconditioner import Lumped, TraceTie, inverse_of

@@ -17,8 +17,7 @@ from ..checks import check_fields, instance
 from ..errors import near, require
 from ..fem.fields import Field
 from ..system.system import System
-from .blocks.elastic import Elastic
-from .blocks.elastic_blocks import Bddc, Cholesky, Multigrid, block_solver
+from .blocks.elastic_blocks import Bddc, Cholesky, Elastic, Multigrid, block_solver
 from .core import TIE_LIMIT
 from .fieldsplit.preconditioner import SplitBlock, split_prefix
 from .fieldsplit.solver import SplitSolver

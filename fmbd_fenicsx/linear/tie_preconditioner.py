@@ -37,7 +37,7 @@ import scipy.sparse.linalg as spl
 from ..fem.traces.stability import pencil
 from ..fem.traces.traces import Trace
 from ..rotations import Array
-from .blocks.elastic import Elastic
+from .blocks.elastic_blocks import Elastic
 from .rigid_modes import rigid_mass, rigid_modes
 
 

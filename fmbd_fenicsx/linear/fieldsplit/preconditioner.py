@@ -10,7 +10,7 @@ import scipy.sparse as sp
 from ...fem.assembly import petsc_of
 from ...matrices import dense
 from ...rotations import Array
-from ..blocks.elastic import Elastic
+from ..blocks.elastic_blocks import Elastic
 from ..blocks.field_blocks import Weights
 from ..blocks.spd import FieldFactor
 from ..iterated_multipliers import SceneTies

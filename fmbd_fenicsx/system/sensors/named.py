@@ -5,13 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass
 from functools import wraps
-from typing import Any, ClassVar
+from typing import Any, ClassVar, overload
 
 from ...errors import InputError, near
+from ...mechanics.joints import drives
+from ...mechanics.joints.drives import JointCoordinate
+from ...mechanics.joints.joints import Joint
 from ...rotations import Array
 from ..evaluation import Evaluation
 from ..layout import State
 from .sensor import Sensor
+from .sensors import JointReading
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,3 +57,37 @@ def or_name(parts: str) -> Callable[[Callable[[Any], Sensor]], Callable[[Any], S
         return made
 
     return taking
+
+
+def _of_named(make: Callable[[Joint], JointCoordinate], name: str) -> Sensor:
+    """The coordinate of a joint that a scene knows by its name: a sensor, no coordinate that forces and drives could take."""
+
+    def reading(joint: Joint) -> Sensor:
+        coordinate = make(joint)
+        return JointReading(None, coordinate.unit, coordinate=coordinate)
+
+    return OfNamed(None, "", make=reading, parts="joints", name=name)
+
+
+@overload
+def angle(joint: str) -> Sensor: ...
+@overload
+def angle(joint: Joint) -> JointCoordinate: ...
+def angle(joint: Joint | str) -> JointCoordinate | Sensor:
+    """The angle of a revolute, cylindrical or planar joint about its axis (rad), counted over revolutions.
+
+    Of a joint's name it is a sensor only; drives, gears and forces take the coordinate of the joint itself.
+    """
+    return _of_named(drives.angle, joint) if isinstance(joint, str) else drives.angle(joint)
+
+
+@overload
+def displacement(joint: str) -> Sensor: ...
+@overload
+def displacement(joint: Joint) -> JointCoordinate: ...
+def displacement(joint: Joint | str) -> JointCoordinate | Sensor:
+    """The displacement of a prismatic, cylindrical or point-on-line joint along its axis, or the length of a rod (m).
+
+    Of a joint's name it is a sensor only; drives, gears and forces take the coordinate of the joint itself.
+    """
+    return _of_named(drives.displacement, joint) if isinstance(joint, str) else drives.displacement(joint)

@@ -45,19 +45,105 @@ from ....linear.condensation import StepSolver
 from ....linear.redundancy import least
 from ....log import log
 from ....mechanics.bodies.bodies import AbsoluteBody
+from ....polynomials import lagrange
 from ....rotations import Array
 from ....system.compiled.march import HISTORY, H, March
 from ....system.compiled.states.evaluation import DriverStates
 from ....system.compiled.states.means import IterationEnds
 from ....system.layout import State
 from ....system.scene.contents import Contents
-from ....system.serialisation import Memory, plain, worker
+from ....system.serialisation import Memory, Remembering, plain, worker
 from ....system.system import System
 from ...consistent import accelerations, behind_a_jump
 from ...newton import Newton
-from .past_means import PastMeans
 from .steps_in_parts import NEAR, NOTHING, ROUNDOFF, StepsInParts
-from .tangent_age import TangentAge
+
+WORTH = 8  # increments of a step that cost what new tangents do: their matrices, factors and columns
+SELDOM = 15  # steps between two trials at most
+FEW = 3  # increments that a step takes at least
+
+
+class TangentAge(Remembering):
+    """What tangents of fields have cost so far: increments of steps beyond the fewest that were enough since they were taken. New
+    ones are worth it as soon as these have paid for them.
+
+    Where they do not serve steps at all, as for those that turn bodies far, they are tried more and more seldom: after 1, 2, 4 ..
+    further ``steps``.
+    """
+
+    keeps: ClassVar = dict.fromkeys(("fewest", "lost", "steps", "wait"), plain())
+
+    def __init__(self) -> None:
+        self.fewest, self.lost = FEW, 0
+        self.steps = self.wait = 0
+
+    @property
+    def due(self) -> bool:
+        """Whether new ones are worth it."""
+        return self.lost >= WORTH
+
+    @property
+    def apart(self) -> bool:
+        """Whether the next step does without them."""
+        return self.steps > 0
+
+    def failed(self) -> None:
+        """They did not serve a step."""
+        self.wait = min(2 * self.wait + 1, SELDOM)
+        self.steps = self.wait + 1
+
+    def pass_by(self) -> None:
+        """A step was made without them."""
+        self.steps = max(self.steps - 1, 0)
+
+    def take(self, increments: int, *, renewed: bool) -> None:
+        """A step with so many increments; ``renewed``: by tangents taken in it, which are as good as they can be."""
+        self.wait = 0
+        if renewed:
+            self.fewest, self.lost = increments, 0
+        self.lost += max(increments - self.fewest, 0)
+
+
+LONGEST = 3  # means that are kept
+
+
+class PastMeans(Remembering):
+    """Accelerations (n,) and multipliers (n_lam,), newest first, each at the middle of its step.
+
+    A prediction is the polynomial through so many of them as would have told the newest best: all where the motion is smooth, one
+    where vibrations are not resolved by the steps, whose polynomials grow; or bodies that move on rigidly, where that is nearer.
+    """
+
+    keeps: ClassVar = {"known": Memory.past, **dict.fromkeys(("through", "rigidly", "missed"), plain())}
+
+    def __init__(self, t: float, a: Array, lam: Array, rigid: bool) -> None:
+        """``rigid``: whether there are bodies that may move on rigidly; the first prediction is that."""
+        self.known = [(t, a, lam)]
+        self.through, self.rigidly = 1, rigid
+        self.missed = np.inf if rigid else 0.0  # by which the newest was
+
+    def predicted(self, t: float) -> tuple[Array, Array]:
+        """Both at t (s) by the best polynomial."""
+        times, a, lam = zip(*self.known[: self.through], strict=True)
+        w = np.array(lagrange(times, t))
+        return w @ np.array(a), w @ np.array(lam)
+
+    def take(self, mean: tuple[float, Array, Array], size: Callable[[Array], Array], rigid: Array | None) -> None:
+        """The means of one more step; errors of predictions are those of accelerations (k, n), of this ``size``. ``rigid``: those
+        of bodies that move on rigidly, where they are known.
+        """
+        t, a, _ = mean
+        times, earlier, _ = zip(*self.known, strict=True)
+        w = np.zeros((len(times), len(times)))  # of polynomials through one, two .. of them
+        for k in range(len(times)):
+            w[k, : k + 1] = lagrange(times[: k + 1], t)
+        found = w @ np.array(earlier)
+        missed = size((found if rigid is None else np.concatenate((found, rigid[None]))) - a)
+
+        self.through, self.missed = int(np.argmin(missed[: len(times)])) + 1, float(missed.min())
+        self.rigidly = rigid is not None and bool(missed[-1] <= self.missed)
+        self.known = [mean, *self.known][:LONGEST]
+
 
 POOR = 0.1  # error of a prediction, of the size of accelerations, above which bodies that move on rigidly may be nearer
 LARGE = 0.5  # rad that a body turns in a step: the Cayley map lags by 2 %

@@ -321,7 +321,7 @@ typedef struct {
 /* A dense part of the factor: its first ``pivots`` columns are eliminated, the rest goes to the next front. */
 typedef struct {
     int pivots, rows, ld, next;
-    int apart;                         /* whether it is an attitude with the rows that hold it, see tables/apart.py */
+    int apart;                         /* whether it is an attitude with the rows that hold it, see tables/tables.py */
     long start;                        /* of its columns in the storage */
     int *unknown;                      /* rows */
     int *to;                           /* rows - pivots: their rows in the next front */

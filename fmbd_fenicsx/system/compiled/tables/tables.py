@@ -15,10 +15,10 @@ from ....mechanics.forces.force_elements import Loads
 from ....mechanics.joints.relative import RelativeCoordinates
 from ....mechanics.kinds.frames import FRAME
 from ....mechanics.placements import Approach
+from ...layout import ATTITUDE
 from ...system import System
 from ..declarations import enumeration
 from ..order import LOCKED, RowGroup
-from .apart import attitudes_apart
 from .bodies.bodies import reduced_body, rigid_bodies, surface
 from .bodies.fields import Block, FieldTable
 from .bodies.rods import RodTable, rod_pairs
@@ -33,6 +33,31 @@ from .matrix_structure import MatrixShape, structure_of
 from .places import fronts_of, pivots_of
 from .sights import reaction_of, seen_places
 from .structures import SECANTS, array_of, structure
+
+
+def attitudes_apart(tables: Tables) -> dict[int, np.ndarray]:
+    """Bodies whose attitude is held by rows of its own while nothing else turns them: these rows, by the number of the body.
+
+    They and angular velocities do not meet the rest of the step's matrix, and a point mass has three unknowns there (two in the
+    plane). What may turn a body acts beside its origin, or is known to Python alone.
+    """
+    blocks = [block for block in tables.system.blocks if block.kind == ATTITUDE]
+    held = {int(tables.frame[block.b]): np.arange(block.rows.start, block.rows.stop) for block in blocks}
+    if not held:
+        return {}
+
+    place = tables.system.markers.position
+    turned = np.zeros(tables.nb + 1 + len(tables.surfaces), dtype=bool)
+    for items in (x for x in tables.items if x.role != READ):
+        asked = any(term.kind.asked for term in items.terms or [items])
+        turned[items.frames[place[items.markers].any(axis=2) | asked]] = True
+    for loads in tables.mounts:
+        turned[tables.frame[loads.a]] = True
+        turned[tables.frame[loads.b[place[loads.b].any(axis=1)]]] = True
+    for loads in tables.loads:
+        turned[tables.frame[loads.a]] = turned[tables.frame[loads.b]] = True
+    return {body: rows for body, rows in held.items() if not (turned[body] or tables.modes[body])}
+
 
 MOTIONS = "motion", "motion_rate", "motion_second"  # of rows: s, s' and s'' of what is prescribed
 CLOSING = enumeration("CONJUGATE")["CLOSING"]
