@@ -248,6 +248,45 @@ def test_springs_reach_from_end_to_end_and_reactions_hold() -> None:
     assert np.ptp(push[:, 0]) > 0.1 and push[:, 0].min() == pytest.approx(run["bob"][25, 0], abs=1e-9)
 
 
+JOINTS: dict[str, Any] = {
+    "revolute": lambda a, b, x: fmbd.revolute("revolute", a, b, center=x),
+    "fixed": lambda a, b, x: fmbd.fixed("fixed", a, b, center=x),
+    "slider": lambda a, b, x: fmbd.prismatic("slider", a, b, center=x, axis=np.eye(len(x))[0]),
+    "line": lambda a, b, x: fmbd.point_on_line("line", a, b, center=x, axis=np.eye(len(x))[0]),
+    "rod": lambda a, b, x: fmbd.distance("rod", a, b, point_a=x, point_b=np.add(x, np.eye(len(x))[0])),
+    "cylindrical": lambda a, b, x: fmbd.cylindrical("cylindrical", a, b, center=x, axis=(0, 0, 1)),
+    "planar": lambda a, b, x: fmbd.planar("planar", a, b, center=x, normal=(0, 0, 1)),
+    "spherical": lambda a, b, x: fmbd.spherical("spherical", a, b, center=x),
+}
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_joints_springs_and_wheels_are_drawn_where_they_are(dim: int) -> None:
+    scene = fmbd.Scene("all sorts")
+    names = list(JOINTS)[: 5 if dim == 2 else None]
+    inertia = 1.0 if dim == 2 else (1.0, 1.0, 1.0)
+    for k, name in enumerate(names):
+        x = np.eye(dim)[0] * 3 * k
+        body = fmbd.RigidBody(f"body {name}", 1.0, inertia, x + np.eye(dim)[0])
+        scene.add(body, JOINTS[name](fmbd.ground, body, x))
+    hinge, slider = fmbd.angle(scene.joints["revolute"]), fmbd.displacement(scene.joints["slider"])
+    scene.add(fmbd.joint_spring("coil", hinge, stiffness=1.0), fmbd.joint_spring("push", slider, stiffness=1.0))
+    scene.add(fmbd.joint_spring("motor", hinge, law=lambda s, rate, t: 0.1))
+    wheel = fmbd.RigidBody("wheel", 1.0, inertia, np.eye(dim)[-1])
+    scene.add(
+        wheel, fmbd.Tyre("tyre", wheel, up=np.eye(dim)[1], radius=1.0, stiffness=100.0, road=lambda p, t: 0.0 * p[0])
+    )
+    drawing = draw(fmbd.solve(scene, t_end=0.02, dt=0.01, output=few(2)))
+    for k, name in enumerate(names):
+        x = piece(drawing, name).at(0)
+        middle = 3 * k + (0.5 if name == "rod" else 0.0)
+        assert 0.5 * (x.max(axis=0) + x.min(axis=0)) == pytest.approx((middle, 0, 0), abs=1e-6), name
+    assert {piece(drawing, name).role for name in ("coil", "push")} == {Role.SPRING}
+    assert piece(drawing, "motor").role is Role.DRIVE
+    circle = piece(drawing, "tyre").at(0)
+    assert np.linalg.norm(circle - np.eye(3)[dim - 1], axis=1) == pytest.approx(np.ones(len(circle)))
+
+
 def test_beams_and_lines_of_own_equations_are_drawn() -> None:
     section = fmbd.Section.rectangle(youngs_modulus=1e8, poisson_ratio=0.3, density=1e3, width=0.05, height=0.05)
     beam = fmbd.Beam("beam", (0.0, 0.0), (1.0, 0.0), section, elements=4)
