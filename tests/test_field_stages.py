@@ -26,6 +26,7 @@ from fmbd_fenicsx.materials import (
     saint_venant_kirchhoff,
 )
 from fmbd_fenicsx.schemes.dae import Points
+from fmbd_fenicsx.schemes.implicit import field_stages
 from fmbd_fenicsx.schemes.implicit.field_stages import FieldEquations
 from fmbd_fenicsx.schemes.implicit.implicit_stepper import ImplicitStepper
 from fmbd_fenicsx.schemes.implicit.stage_krylov import FieldStages
@@ -265,6 +266,22 @@ def test_turning_of_local_coordinates(rod_mesh: Callable[..., Any]) -> None:
     alone, start, _ = pendulum(rod_mesh(dim=3, h=0.5, height=0.2), "absolute").build()  # no frame turns
     equations = FieldEquations(alone, fmbd.GGL(), StepSolver(alone))
     assert equations.refresh(start, np.zeros(equations.n_mult)).turnings.shape == (0, 6, 6)
+
+
+def test_closing_motions_of_many_multipliers_are_those_of_few(
+    rod_mesh: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Many are solved for each time, real and complex ones, where few are kept as a matrix: the same steps."""
+    scene = pendulum(rod_mesh(dim=2, h=0.5, height=0.2), ramp=0.1)
+    system = scene.build()[0]
+    few: list[Any] = []
+    many: list[Any] = []
+    for found, most in ((few, field_stages.COLUMNS), (many, 0)):
+        monkeypatch.setattr(field_stages, "COLUMNS", most)
+        found += march(scene, fmbd.Radau(2, fmbd.GGL(), None), 0.1, 4, 1e-11)
+    off = system.difference(few[-1].q, many[-1].q)
+    assert system.max_abs(few[-1].v) > 0.1
+    assert system.max_abs(off) < 1e-11 and system.max_abs(few[-1].v - many[-1].v) < 1e-9
 
 
 @pytest.mark.mpi

@@ -46,6 +46,8 @@ from .stage_pressures import StagePressures
 from .whole_steps import WholeFieldSteps
 
 COLUMNS = 64  # multipliers for which N is kept as a matrix
+ROUNDED_UP = 1.1  # what a step may be longer than the one proposed, whose safety allows it
+ROUNDOFF = 1e-14  # of rates, over their largest
 
 
 class ClosingMotions(Remembering):
@@ -95,10 +97,6 @@ class ClosingMotions(Remembering):
         if np.iscomplexobj(slips):
             return np.asarray(closing(slips.real.T).T + 1j * closing(slips.imag.T).T)
         return closing(slips.T).T
-
-
-ROUNDED_UP = 1.1  # what a step may be longer than the one proposed, whose safety allows it
-ROUNDOFF = 1e-14  # of rates, over their largest
 
 
 class FieldEquations(Equations):
