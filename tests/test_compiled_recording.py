@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.errors import LawError
 from fmbd_fenicsx.rotations import Array
 from fmbd_fenicsx.system.evaluation import Evaluation
 from fmbd_fenicsx.system.layout import State
@@ -377,3 +378,24 @@ def test_on_step_reads_contacts_of_compiled_steps() -> None:
     output = fmbd.Output(progress=False, on_step=lambda now: seen.append(now["force"]))
     run = fmbd.solve(bouncing(), t_end=0.2, dt=1e-3, scheme=fmbd.Moreau(), output=output)
     assert np.array_equal(seen, run["force"][1:]) and run["force"].max() > 100.0
+
+
+def test_a_law_without_a_value_within_a_step_is_named() -> None:
+    """Compiled code finds no record between two steps there; who reads states one by one, with their contacts, tells why."""
+
+    def law(s: float, rate: float, t: float) -> float:
+        if abs(t - 0.2025) < 1e-6:
+            raise ValueError("no value here")
+        return 2.0 * s
+
+    arm = fmbd.RigidBody("arm", 1.0, 0.1, (0.5, 0.0))
+    pin = fmbd.revolute("pin", fmbd.ground, arm, center=(0, 0))
+    floor = fmbd.Obstacle("floor", fmbd.HalfSpace((0, -0.01), (0, 1)))
+    scene = fmbd.Scene("swing", gravity=(0, -9.81))
+    scene.add(arm, pin, fmbd.joint_spring("spring", fmbd.angle(pin), law=law))
+    scene.add(fmbd.contact("touch", fmbd.ball(arm, 0.005), floor))
+    scene.sensor("force", fmbd.sensors.contact_force("touch"))
+    scene.sensor("effort", fmbd.sensors.element_effort("spring"))
+    output = fmbd.Output(times=[0.2025, 0.3025], progress=False)
+    with pytest.raises(LawError, match="no value here"):
+        fmbd.solve(scene, t_end=0.4, dt=0.01, scheme=fmbd.Moreau(), output=output)
