@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from dae_problems import pendulum, torqued_links
+from scipy.integrate import solve_ivp
 from tolerance_scenes import MESHES, elastic_pendulum, geared_chain
 
 import fmbd_fenicsx as fmbd
@@ -223,6 +224,25 @@ def test_larger_steps_tell_errors_of_a_scheme_that_changes_its_order_by_the_mean
     monkeypatch.setattr(MarchingStepper, "stride", lambda self, h: 0.0)
     alone = with_larger_steps(problem, given, 2)
     np.testing.assert_allclose(alone.recorder.series[sensor], two.recorder.series[sensor], rtol=0, atol=0.1 * told)
+
+
+@pytest.mark.parametrize(("sensor", "tol"), [("turn", 1e-4), ("rate", 2.3e-4)])
+def test_errors_of_long_motion_fall_by_less_than_the_mean_order(sensor: str, tol: float) -> None:
+    """A pendulum turns over the top for 10 s: by the whole mean order of BDF 0.48 and 0.45 of the errors were stated."""
+    body = fmbd.RigidBody("bob", 1.0, 0.1, (1.0, 0.0), angular_velocity=8.0, velocity=(0.0, 8.0))
+    pin = fmbd.revolute("pin", fmbd.ground, body, center=(0, 0))
+    scene = fmbd.Scene("over the top", gravity=(0, -9.81))
+    scene.add(body, pin)
+    scene.sensor("turn", fmbd.rotation(body))
+    scene.sensor("rate", fmbd.joint_rate(fmbd.angle(pin)))
+    run = fmbd.solve(scene, t_end=10.0, scheme=fmbd.BDF(), tol={sensor: tol}, output=Output(progress=False))
+
+    def fall(t: float, y: np.ndarray) -> list[float]:
+        return [y[1], -9.81 * np.cos(y[0]) / 1.1]
+
+    exact = solve_ivp(fall, (0.0, 10.0), (0.0, 8.0), "DOP853", t_eval=run.times, rtol=1e-12, atol=1e-12).y
+    true = float(np.abs(run[sensor].ravel() - exact[0 if sensor == "turn" else 1]).max())
+    assert true < tol and 0.6 < run.certificate[sensor].total / true < 2.0
 
 
 def test_few_steps_of_a_scheme_that_changes_its_order_are_not_made_larger() -> None:
