@@ -93,7 +93,7 @@ class FieldBlocks:
         self.kept = 1
         self.stepping: Weights | None = None  # those of :meth:`beside`
         self.factorisations = 0
-        self.retired_solves: list[int] = []  # of factors that have been freed
+        self.other_solves = 0  # of factors that have been freed, or are held elsewhere
         self.methods: dict[str, str] = {}  # by what the block of a body was solved last, in words
         self._columns: dict[int, tuple[Any, Array]] = {}  # of each part, and what they are made for
         self._growths: dict[int, tuple[int, float]] = {}  # of each part with its tangent, of :meth:`hides_masses`
@@ -108,7 +108,7 @@ class FieldBlocks:
     @property
     def back_solves(self) -> int:
         """Right-hand sides solved so far."""
-        return sum(f.judge.solves for f in self._live) + sum(self.retired_solves)
+        return sum(f.judge.solves for f in self._live) + self.other_solves
 
     @property
     def iterations(self) -> int:
@@ -258,7 +258,7 @@ class FieldBlocks:
             old = self._sets.pop(next(iter(self._sets)))
             in_use = {id(f) for f in (*live, *self._live)}
             for factor in (b.factor for b in old if id(b.factor) not in in_use):
-                self.retired_solves.append(factor.judge.solves)
+                self.other_solves += factor.judge.solves
                 factor.destroy()
 
     def destroy(self) -> None:

@@ -41,7 +41,7 @@ def remember_solver(solver: StepSolver, m: Memory, state: State) -> None:
 
     counts = (elastic.factorisations, solver.core.factorisations, elastic.back_solves, solver.worst_residual)
     elastic.factorisations, solver.core.factorisations, solves, worst = m("counts", counts)
-    elastic.retired_solves.append(solves - elastic.back_solves)
+    elastic.other_solves += solves - elastic.back_solves
     solver.core.judge.worst = max(solver.core.judge.worst, worst)
 
 

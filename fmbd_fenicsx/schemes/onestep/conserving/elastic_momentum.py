@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from ....fem.factors.factor import by_mumps
+from ....linear.blocks.field_blocks import FieldBlocks
 from ....mechanics.elastic.absolute import AbsoluteField
 from ....rotations import Array, rotate_nodal
 from ....system.evaluation import Evaluation
@@ -154,12 +155,12 @@ def ports_in_use(ev: Evaluation) -> np.ndarray:
 
 class Fields:
     """All absolute bodies of a system in a step, as the small system of :mod:`.energy_momentum` sees them: through the ports
-    ``used`` (numbers of the system's ports).
+    ``used`` (numbers of the system's ports). ``blocks`` count factors and back-solves.
     """
 
-    def __init__(self, system: System, used: np.ndarray) -> None:
+    def __init__(self, system: System, used: np.ndarray, blocks: FieldBlocks) -> None:
         parts: list[tuple[int, Any]] = list(system.fields)
-        self.system, self.used = system, used
+        self.system, self.used, self._blocks = system, used, blocks
 
         self.bodies: list[_Body] = []
         self._at: list[tuple[np.ndarray, np.ndarray]] = []
@@ -209,6 +210,8 @@ class Fields:
         for k, body in enumerate(self.bodies):
             if body.linearise():
                 self._solve_columns(k)
+                self._blocks.factorisations += 1
+                self._blocks.other_solves += self._H[k].shape[1]
         self._turn_compliance()
 
     def _solve_columns(self, k: int) -> None:
@@ -230,6 +233,7 @@ class Fields:
         for body, (at, _), H in zip(self.bodies, self._at, self._H, strict=True):
             self._z.append(body.solve(body.residual() + H @ port[at]))
             out[at] = body.field.total(H.T @ self._z[-1])
+        self._blocks.other_solves += len(self.bodies)
         return out
 
     def move(self, dP: Array) -> float:

@@ -60,7 +60,7 @@ class StepsInParts(MarchingStepper):
             from .elastic_momentum import Fields, ports_in_use
 
             s = self.state
-            self.fields = Fields(self.system, ports_in_use(self.system.at(s.t, s.q, s.v)))
+            self.fields = Fields(self.system, ports_in_use(self.system.at(s.t, s.q, s.v)), self.solver.elastic)
             self.ports = self.fields.used
 
     def _ends(self, h: float, *, parts: bool = False) -> IterationEnds:
