@@ -11,7 +11,8 @@ import pytest
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError
-from fmbd_fenicsx.materials import neo_hookean, saint_venant_kirchhoff
+from fmbd_fenicsx.materials import linear_elastic, neo_hookean, saint_venant_kirchhoff
+from fmbd_fenicsx.system.compiled import choice
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -199,3 +200,16 @@ def test_tangents_serve_many_steps(
     energy = sum(run.energy.values())
     assert np.abs(energy - energy[0]).max() < 1e-9 * run.energy["kinetic"].max()
     assert 1 <= taken["of bodies"] <= 3 and 1 <= taken["of joints"] <= 3
+
+
+def test_steps_in_parts_begin_as_compiled_ones(rod_mesh: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    """As on several ranks: two increments a step of a linear body, not four from rigid motion; factors are counted."""
+    monkeypatch.setattr(choice, "driver_states", lambda system: None)
+    rod = fmbd.AbsoluteBody("bar", rod_mesh(dim=2, h=0.5), density=1000.0, elastic=linear_elastic(5e6, 0.3))
+    scene = fmbd.Scene("pulled")
+    scene.add(rod, fmbd.fixed("wall", fmbd.ground, rod.surface("pin")))
+    scene.add(fmbd.force("pull", rod.surface("tip"), lambda t: (0.0, 10.0 * np.sin(20.0 * t))))
+    counters = fmbd.solve(scene, t_end=0.04, dt=1e-3, scheme=fmbd.EnergyMomentum()).counters
+    assert counters["factorisations"] == 1
+    assert counters["newton_iterations"] < 100
+    assert counters["back_solves"] > 100
