@@ -208,8 +208,8 @@ def test_steps_in_parts_begin_as_compiled_ones(rod_mesh: Callable[..., Any], mon
     rod = fmbd.AbsoluteBody("bar", rod_mesh(dim=2, h=0.5), density=1000.0, elastic=linear_elastic(5e6, 0.3))
     scene = fmbd.Scene("pulled")
     scene.add(rod, fmbd.fixed("wall", fmbd.ground, rod.surface("pin")))
-    scene.add(fmbd.force("pull", rod.surface("tip"), lambda t: (0.0, 10.0 * np.sin(20.0 * t))))
+    scene.add(fmbd.force("pull", rod.surface("tip"), lambda t: (0.0, 100.0 * np.sin(20.0 * t))))
     counters = fmbd.solve(scene, t_end=0.04, dt=1e-3, scheme=fmbd.EnergyMomentum()).counters
     assert counters["factorisations"] == 1
-    assert counters["newton_iterations"] < 100
+    assert counters["newton_iterations"] < 85
     assert counters["back_solves"] > 100
