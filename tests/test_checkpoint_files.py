@@ -87,6 +87,16 @@ def test_a_run_can_be_made_longer(tmp_path: Path) -> None:
     assert np.array_equal(longer["tip"], run(tmp_path / "whole", t_end=0.1)["tip"])
 
 
+def test_a_longer_run_has_steps_of_the_same_size(tmp_path: Path) -> None:
+    """0.29 / 29 is not 0.01 to the last bit: BDF began anew with another size, and was 1e-6 m off."""
+    dt, first, last = 0.01, 0.29, 0.7
+    assert first / 29 != dt == last / 70
+    steps: dict[str, Any] = {"dt": dt, "scheme": fmbd.BDF(3, rtol=None)}
+    run(tmp_path, t_end=first, **steps)
+    longer = run(tmp_path, restart=tmp_path, t_end=last, **steps)
+    assert np.array_equal(longer["tip"], run(tmp_path / "whole", t_end=last, **steps)["tip"])
+
+
 @pytest.mark.parametrize("snapshots", [fmbd.PerSecond(50), (0.0, 0.03, 0.07, 0.1)])
 def test_a_longer_run_has_all_records_and_snapshots_that_it_asks_for(snapshots: Any, tmp_path: Path) -> None:
     def output(t_end: float) -> fmbd.Output:

@@ -52,7 +52,7 @@ class StepSchedule:
     def next(self, t: float) -> float:
         """Size of the next step, or the most it may be (s). Steps end a few roundings before a break point: on its near side."""
         if self.steps:
-            return self._sizes[bisect_right(self.stops, t)] if self.stops else self.span / self.steps
+            return self._sizes[bisect_right(self.stops, t)] if self.stops else self._even
         return min(self.ends(t)[0] - t, self.largest)
 
     def ends(self, t: float) -> tuple[float, ...]:
@@ -101,7 +101,7 @@ class StepSchedule:
         """What a run has to have in common with one that it goes on with: its sizes of equal steps (s)."""
         if not self.steps:
             return None
-        sizes = tuple(float(f"{x:.12g}") for x in ([self.span / self.steps] if not self.stops else self._sizes))
+        sizes = tuple(float(f"{x:.12g}") for x in (self._sizes if self.stops else [self._even]))
         return sizes[0] if not self.stops else tuple(sorted({float(f"{x:.9g}") for x in sizes}))
 
     @property
@@ -130,6 +130,14 @@ class StepSchedule:
     def _ends(self) -> tuple[int, ...]:
         """Numbers of the equal steps at which stretches end."""
         return tuple(accumulate(self.counts))
+
+    @cached_property
+    def _even(self) -> float:
+        """The size of equal steps without stops (s): the one that was asked for, where it fits but for roundoff, so that it does not
+        hang on when the march ends.
+        """
+        fitted = self.span / self.steps
+        return self.largest if abs(self.largest - fitted) <= SAME * fitted else fitted
 
     @cached_property
     def _sizes(self) -> tuple[float, ...]:
