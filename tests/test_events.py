@@ -128,6 +128,7 @@ def falling_ball() -> fmbd.Scene:
     floor = fmbd.Obstacle("floor", fmbd.HalfSpace((0.0, 0.0, -1.1), (0.0, 0.0, 1.0)))
     scene.add(body, fmbd.contact("pair", fmbd.contacts.ball(body, 0.1), floor, restitution=0.8))
     scene.sensor("ball", fmbd.position(body))
+    scene.sensor("gap", fmbd.contact_gap("pair"))
     return scene
 
 
@@ -143,14 +144,20 @@ def fallen(t: float) -> tuple[float, float]:
 
 @pytest.mark.parametrize("compiled", [True, False])
 def test_bounces_within_steps(compiled: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Steps that are cut by impacts have the places and the crossings of their parts."""
+    """Steps that are cut by impacts have the places, gaps and crossings of their parts."""
     if not compiled:
         monkeypatch.setattr("fmbd_fenicsx.schemes.impacts.compiled.driver.contact_driver", lambda *_, **__: None)
-    times, seen = np.sort(np.random.default_rng(2).uniform(0.0, 1.5, 200)), []
+    times = tuple(np.sort(np.random.default_rng(2).uniform(0.0, 1.5, 200)))
+    seen: list[float] = []
+    near: list[float] = []
     low = fmbd.Event("ball z", -0.99, then=lambda now: seen.append(now.t))
-    output = fmbd.Output(times=tuple(times), events=[low])
-    run = fmbd.solve(falling_ball(), t_end=1.5, dt=0.02, scheme=fmbd.schemes.Moreau(), output=output)
-    assert np.abs(run["ball"][:, 2] + 1.0 - [fallen(t)[0] for t in times]).max() < 1e-9
+    close = fmbd.Event("gap", 0.01, then=lambda now: near.append(now.t))
+    settings = {"t_end": 1.5, "dt": 0.02, "scheme": fmbd.schemes.Moreau()}
+    run = fmbd.solve(falling_ball(), output=fmbd.Output(times=times, events=[low, close]), **settings)
+    plain = fmbd.solve(falling_ball(), output=fmbd.Output(times=times), **settings)
+    for found in (run["ball"][:, 2] + 1.0, run["gap"][:, 0], plain["gap"][:, 0]):
+        assert np.abs(found - [fallen(t)[0] for t in times]).max() < 1e-9
+    assert near == pytest.approx(seen, rel=1e-12)
 
     # down and up at each of two bounces, all within one step
     assert len(seen) == 4

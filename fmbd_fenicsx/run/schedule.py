@@ -133,8 +133,8 @@ class StepSchedule:
 
     @cached_property
     def _even(self) -> float:
-        """The size of equal steps without stops (s): the one that was asked for, where it fits but for roundoff, so that it does not
-        hang on when the march ends.
+        """The size of equal steps without stops (s): the one that was asked for, where it fits but for roundoff, so that it does
+        not hang on when the march ends.
         """
         fitted = self.span / self.steps
         return self.largest if abs(self.largest - fitted) <= SAME * fitted else fitted

@@ -2,10 +2,12 @@
 
 A scheme whose steps are polynomials gives their values (:meth:`.TimeStepper.between`). Otherwise positions follow the cubic
 through the ends with their velocities, and all else parabolas (:mod:`...schemes.dense_output`), all of at least second
-order in the step. Contact forces are those of the step: the mean over it.
+order in the step. Contact forces are those of the step: the mean over it; gaps are those of the places.
 """
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 from ...schemes import dense_output
 from ...schemes.stepping import TimeStepper
@@ -26,11 +28,16 @@ def state_between(
     before began with, where forces are smooth.
     """
     before, after = ends
-    if stepper.unwrapped.state is after:
-        found = stepper.unwrapped.between(t)
-        if found is not None:
-            return found
-    return dense_output.within(system, before, after, t, earlier)
+    found = stepper.unwrapped.between(t) if stepper.unwrapped.state is after else None
+    if found is None:
+        found = dense_output.within(system, before, after, t, earlier)
+    contact = getattr(found, "contact", None)
+    if contact is None:
+        return found
+    from ...system.sensors.contact import gaps_within
+
+    gaps = gaps_within(system, [found])
+    return found if gaps is None else replace(found, contact=replace(contact, gap=gaps[0]))
 
 
 def states_within(steps: KeptSteps, stepper: TimeStepper, roundoff: float) -> States:

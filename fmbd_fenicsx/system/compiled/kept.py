@@ -144,7 +144,7 @@ class Kept:
         """Records of states within steps, as compiled code tells them; None where NumPy has something to say."""
         blocks, tape = _blocks_of(self.tables.twin, states), self._tape
         tape.hold(len(blocks))
-        tape.take_own(steps.own)
+        tape.take_own(steps.own, states)
         system = ctypes.addressof(self.tables.c)
         if self.library.driver_record(system, tape.address, len(blocks), address_of(blocks)):
             self.calls.forget_error()  # who reads them one by one meets it again

@@ -159,8 +159,8 @@ class Tape:
             self._make_room(records)
         self.begin(1, 1)
 
-    def take_own(self, own: Array) -> None:
-        """What a scheme keeps with the ends of steps, (k, ..), may tell something of records within them."""
+    def take_own(self, own: Array, states: States) -> None:
+        """What a scheme keeps with the ends of steps, (k, ..), may tell something of records within them, in these states."""
 
     def each(self, states: States, own: Array) -> list[State]:
         """States within steps one by one, with what that tells of them."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -135,6 +136,15 @@ class ContactSensor(Sensor):
 
 def _name(contact: Any) -> str:
     return named_part("contact", contact)
+
+
+def gaps_within(system: Layout, states: Sequence[State]) -> Array | None:
+    """Gaps (m) of all candidates in states within steps, (k, m); None where no sensor reads any. Forces are those of the step,
+    gaps those of the places in the state. Collective.
+    """
+    if not any(isinstance(sensor, ContactSensor) and sensor.quantity == "gap" for sensor, _ in system.sensed):
+        return None
+    return np.array([system.contacts.touch(system, s.t, s.q).geometric for s in states])
 
 
 def contact_force(contact: Any) -> Sensor:

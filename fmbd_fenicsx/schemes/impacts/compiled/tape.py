@@ -13,7 +13,7 @@ from ....system.compiled.recording import Recorded
 from ....system.compiled.tables.layout import TableLayout
 from ....system.compiled.tape import Openness, Tape
 from ....system.layout import State, States
-from ....system.sensors.contact import WORKS, ContactForces, ContactState
+from ....system.sensors.contact import WORKS, ContactForces, ContactState, gaps_within
 from ....system.system import System
 
 if TYPE_CHECKING:
@@ -40,17 +40,22 @@ class ContactTape(Tape):
         """No: steps are cut by impacts, between which values may cross and come back."""
         return False
 
-    def take_own(self, own: Array) -> None:
+    def take_own(self, own: Array, states: States) -> None:
         """The contacts of the steps that records are within."""
-        self.arrays["contact"][: len(own)] = own
+        self.arrays["contact"][: len(own)] = self._within(own, states)
 
     def each(self, states: States, own: Array) -> list[State]:
         """With the contacts of their steps."""
-        forces, times = self.forces(own)
+        forces, times = self.forces(self._within(own, states))
         return [
             ContactState(s.t, s.q, s.v, s.a, s.lam, forces.record(i, float(times[i])))
             for i, s in enumerate(states.each())
         ]
+
+    def _within(self, own: Array, states: States) -> Array:
+        """Numbers of contacts of steps, with the gaps of states within them."""
+        gaps = gaps_within(self.whole_system, states.each())
+        return own if gaps is None else np.concatenate((gaps, own[:, gaps.shape[1] :]), axis=1)
 
     def forces(self, numbers: Array) -> tuple[ContactForces, Array]:
         """What the numbers of contacts in many records (k, ..) tell, and the times (k,) at which the forces act."""
