@@ -23,7 +23,7 @@ from ...rotations import Array
 from ..body import EQUATIONS, Body, Placed, Site
 from ..placements import FrameMotion, Part
 from .own_checks import check_constraint, check_force
-from .own_derivatives import Slopes, slopes_of
+from .own_derivatives import UNUSABLE, Slopes, derivative_many, slopes_of
 from .port_constraint import PortConstraint, of_place_and_time
 
 Vector = Sequence[float] | Array
@@ -231,8 +231,18 @@ class CoordinatePart(Part):
         if self._tangent is not None:
             K, C = self._tangent(q, v, motion.t)
             return -np.asarray(K, dtype=float), -np.asarray(C, dtype=float)
-        slopes = -self._slopes(np.concatenate((q, v, [motion.t])))
-        return slopes[:, : self.n], slopes[:, self.n : -1]
+        slopes = -self._slopes_at(np.concatenate((q, v)), motion.t)
+        return slopes[:, : self.n], slopes[:, self.n :]
+
+    def _slopes_at(self, motion: Array, t: float) -> Array:
+        """The derivative of the force by coordinates and rates, (n, 2 n); by one call where it takes many places."""
+        if self.together and self._slopes.by_complex:
+            n = self.n
+            try:
+                return derivative_many(lambda z, at: self._force(z[:n], z[n:], at), motion[None], np.array([t]))[0]
+            except UNUSABLE:
+                pass
+        return self._slopes(np.append(motion, t))[:, :-1]
 
     def energies(self, motion: FrameMotion, pose: Array, local: tuple[Array, Array]) -> tuple[float, float, float]:
         """Kinetic energy, and the body's potential where it gives one."""

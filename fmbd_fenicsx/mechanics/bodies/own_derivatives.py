@@ -21,6 +21,7 @@ from ..kinds.time_derivatives import AGREES, OUTSIDE, STEPS, Best, search
 
 _STEP = 1e-30
 SAME = 1e-4  # of a slope: what two ways to find it may differ by
+NOTHING = 1e-20  # of the largest slope: what a complex step leaves where there is none
 GOOD = 1e-10  # of a slope: an error of differences that need not be looked into
 ROUGH = 2.0**-10  # of a coordinate: over which its part of a value is seen
 LOOSE = 1e4  # times the error of the best step: what a shorter one may have
@@ -134,6 +135,7 @@ def _complex_steps_tell(function: Function, x: Array, v: Array, told: Array, err
     try:
         (slope,) = _complex_slopes(function, x, v[None])
         allowed = SAME * np.maximum(np.abs(slope), np.abs(told)) + AGREES * error
+        allowed += NOTHING * np.abs(told).max(initial=0.0)
         return bool((np.abs(slope - told) <= allowed).all())
     except UNUSABLE:
         return False
