@@ -168,54 +168,42 @@ def _peak(driver: Any, steps: int) -> int:
     return tracemalloc.get_traced_memory()[1] - before
 
 
-def turned_bushing(dim: int) -> tuple[fmbd.Scene, Any]:
-    """A body far from rest on a bushing to the ground."""
-    rng = np.random.default_rng(7)
-    n = 3 if dim == 2 else 6
-    A = rng.standard_normal((n, n))
-    body = fmbd.RigidBody("body", 1.3, 0.4 if dim == 2 else (0.4, 0.5, 0.6), (0.3, -0.2, 0.1)[:dim])
-    scene = fmbd.Scene("mount")
-    mount = fmbd.bushing("mount", fmbd.ground, body, stiffness=A @ A.T, damping=A + 5 * np.eye(n), center=(0.0,) * dim)
-    scene.add(body, mount)
-    return scene, body
-
-
 @compiled
 @pytest.mark.parametrize("dim", [2, 3])
-@pytest.mark.parametrize("turn", [0.05, 1.2])
-def test_tangent_of_bushings_is_the_derivative_of_their_wrench(dim: int, turn: float) -> None:
-    """The driver's matrix, read from its solutions, against the evaluation in NumPy."""
-    stepper: Any = stepper_of(turned_bushing(dim)[0])
-    system, n = stepper.system, 3 * (dim - 1)
-    move = np.array([0.3, -0.2, 0.1][:dim] + [turn * x for x in ([1.0] if dim == 2 else [0.5, -0.7, 0.4])])
-    q = np.ascontiguousarray(system.compose(stepper.state.q, move))
-    v, cd, ck = np.zeros(n), 0.3, 0.7
-    v[:dim] = (0.4, -0.3, 0.6)[:dim]
+@pytest.mark.parametrize("held", [True, False], ids=["to the ground", "between two bodies"])
+def test_tangent_of_bushings_is_the_derivative_of_their_forces(dim: int, *, held: bool) -> None:
+    """The driver's matrix, read from its solutions, against differences of the balance in NumPy: far from rest, with levers."""
+    rng, n = np.random.default_rng(7), 3 * (dim - 1)
+    A = rng.standard_normal((n, n))
+    inertia: Any = 14.0 if dim == 2 else (14.0, 15.0, 16.0)
+    one, two = (
+        fmbd.RigidBody(name, 20.0, inertia, x[:dim]) for name, x in (("one", (0, 0, 0)), ("two", (0.3, -0.2, 0.1)))
+    )
+    center = (0.1, 0.2, -0.1)[:dim]
+    scene = fmbd.Scene("mount")
+    scene.add(
+        one,
+        two,
+        fmbd.bushing(
+            "mount", fmbd.ground if held else one, two, stiffness=A @ A.T, damping=A + 5 * np.eye(n), center=center
+        ),
+    )
+    system, state, _ = scene.build()
+    q = system.compose(state.q, 0.4 * rng.standard_normal(2 * n))
+    v, zero = np.zeros(2 * n), np.zeros(0)
+    cd, ck, h = 0.3, 0.7, 1e-5
 
+    def forces(dq: Array, dv: Array) -> Array:
+        return system.at(0.0, system.compose(q, dq), v + dv).balance(np.zeros(2 * n))
+
+    found = np.array(
+        [ck * (forces(e, v) - forces(-e, v)) + cd * (forces(v, e) - forces(v, -e)) for e in h * np.eye(2 * n)]
+    ) / (2 * h)
+    M = np.array([system.at(0.0, q, v).balance(e) for e in np.eye(2 * n)]) - forces(v, v)
     states = driver_states(system)
     assert states is not None and states.factor.prepare(states.at(0.0, q, v), cd, ck)
-    matrix = np.linalg.inv([states.factor.solve(b, np.zeros(0))[0] for b in np.eye(n)]).T
-
-    ev = system.at(0.0, q, v)
-    M = np.diag([1.3] * dim + ([0.4] if dim == 2 else [0.4, 0.5, 0.6]))
-    tangent = system.forces[0].tangent(ev.kin, 0.0)
-    assert tangent is not None
-    W = ev.kin.jac_frame[tangent.markers[1][0]]
-    K, D = (W.T @ x[0, n:, n:] @ W for x in (tangent.K, tangent.D))
-    K[dim:, dim:] += carried(
-        ev.kin.x[tangent.markers[1][0]] - q[:dim], system.forces[0].wrenches(ev.kin, 0.0)[1][0, :dim], W
-    )
-    found = ck * K + cd * D
-    assert np.abs(matrix - M - 0.5 * (found + found.T)).max() < 1e-7 * np.abs(found).max()
-
-
-def carried(lever: Array, force: Array, W: Array) -> Array:
-    """The stiffness of a force whose lever turns with its body."""
-    dim = len(lever)
-    if dim == 2:
-        return np.array([[lever @ force]])
-    R = W[3:, 3:]
-    return R.T @ -np.cross(np.cross(np.eye(3), lever), force).T @ R
+    matrix = np.linalg.inv([states.factor.solve(b, zero)[0] for b in np.eye(2 * n)])
+    assert np.abs(matrix - M - 0.5 * (found + found.T)).max() < 1e-8 * np.abs(found).max()
 
 
 def known_slopes(scale: float, dim: int) -> tuple[Any, Any]:

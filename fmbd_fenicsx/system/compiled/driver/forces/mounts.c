@@ -4,15 +4,16 @@
 #include "algebra/rotations.c"
 #include "parts.h"
 
-enum { MOUNT_ROWS = D + ROT };
+enum { MOUNT_ROWS = D + ROT, MOUNT_BOTH = 2 * TWIST };
 enum { MOUNT_P = 0, MOUNT_TA = D, MOUNT_Q = D + D * D, MOUNT_TB = 2 * D + D * D, MOUNT_K = 2 * (D + D * D),
        MOUNT_C = MOUNT_K + MOUNT_ROWS * MOUNT_ROWS };      /* where places, turns, K and C begin among the constants */
+enum { XA = 0, PA = D, XB = TWIST, PB = TWIST + D };       /* where displacements and turns of both frames begin in a row */
 
 typedef struct {
     double s[MOUNT_ROWS], effort[MOUNT_ROWS];
+    double row[MOUNT_ROWS * MOUNT_BOTH];                   /* ds/dt on the twists of both frames, world axes */
     double axes[D * D], turning[ROT * ROT];                /* E: axes of marker a; T: theta' = T (w_b - w_a); world axes */
     double arm[D], lever[D];                               /* r, l: from the origins of both frames to marker b */
-    double force[D], torque[ROT];                          /* on b, about marker b */
 } Mount;
 
 /* C = A B and C = A^T B for n x k or k x n, and k x m matrices by rows; sizes are known where these are used. */
@@ -78,12 +79,45 @@ static void mount_deflection(const System *s, const Batch *k, long i, Mount *m)
     rotation_vector(R, m->s + D);
 }
 
+/* d(p x x)/dp, D x ROT */
+static inline void turned_by(const double *x, double *L)
+{
+#if DIM == 3
+    L[0] = L[4] = L[8] = 0.0;
+    L[1] = x[2]; L[2] = -x[1]; L[3] = -x[2]; L[5] = x[0]; L[6] = x[1]; L[7] = -x[0];
+#else
+    L[0] = -x[1];
+    L[1] = x[0];
+#endif
+}
+
+/* s' = [E^T (v_b + w_b x l - v_a - w_a x r), T (w_b - w_a)] by rows. */
+static void mount_rows(Mount *m)
+{
+    double l[D * ROT], r[D * ROT], of_b[D * ROT], of_a[D * ROT];
+    turned_by(m->lever, l);
+    turned_by(m->arm, r);
+    multiply_turned(m->axes, l, of_b, D, D, ROT);
+    multiply_turned(m->axes, r, of_a, D, D, ROT);
+
+    memset(m->row, 0, sizeof m->row);
+    for (int i = 0; i < D; i++) {
+        double *row = m->row + MOUNT_BOTH * i;
+        for (int j = 0; j < D; j++) row[XA + j] = -(row[XB + j] = m->axes[D * j + i]);
+        for (int j = 0; j < ROT; j++) row[PB + j] = of_b[ROT * i + j], row[PA + j] = -of_a[ROT * i + j];
+    }
+    for (int i = 0; i < ROT; i++) {
+        double *row = m->row + MOUNT_BOTH * (D + i);
+        for (int j = 0; j < ROT; j++) row[PA + j] = -(row[PB + j] = m->turning[ROT * i + j]);
+    }
+}
+
 /* Everything of one bushing at the frames as they are. */
 static void mount_at(const System *s, const Batch *k, long i, Mount *m)
 {
     const double *P = k->P + k->width * i, *va = s->frames + FRAME * k->pair[2 * i] + SPEED;
-    const double *vb = s->frames + FRAME * k->pair[2 * i + 1] + SPEED, *wa = va + D, *wb = vb + D;
-    double about_a[D], about_b[D], apart[D], turns[ROT], speed[MOUNT_ROWS], rate[ROT * ROT];
+    const double *vb = s->frames + FRAME * k->pair[2 * i + 1] + SPEED;
+    double speed[MOUNT_ROWS], rate[ROT * ROT];
     mount_deflection(s, k, i, m);
     rotation_rate(m->s + D, rate);
 #if DIM == 3
@@ -91,36 +125,23 @@ static void mount_at(const System *s, const Batch *k, long i, Mount *m)
 #else
     m->turning[0] = rate[0];
 #endif
-
-    spin(wa, m->arm, about_a);
-    spin(wb, m->lever, about_b);
-    for (int j = 0; j < D; j++) apart[j] = vb[j] + about_b[j] - va[j] - about_a[j];
-    for (int j = 0; j < ROT; j++) turns[j] = wb[j] - wa[j];
-    transposed(m->axes, apart, speed);
-    multiply(m->turning, turns, speed + D, ROT, ROT, 1);
+    mount_rows(m);
 
     for (int r = 0; r < MOUNT_ROWS; r++)
+        speed[r] = dot(m->row + MOUNT_BOTH * r, va, TWIST) + dot(m->row + MOUNT_BOTH * r + TWIST, vb, TWIST);
+    for (int r = 0; r < MOUNT_ROWS; r++)
         m->effort[r] = dot(P + MOUNT_K + MOUNT_ROWS * r, m->s, MOUNT_ROWS) + dot(P + MOUNT_C + MOUNT_ROWS * r, speed, MOUNT_ROWS);
-    times(m->axes, m->effort, m->force);
-    multiply_turned(m->turning, m->effort + D, m->torque, ROT, ROT, 1);
 }
 
 /* Efforts into the residuals; what was evaluated is kept for the tangent. */
 void mount_forces(System *s, const Batch *k)
 {
-    for (long i = 0; i < k->n; i++) {
+    const int *at = k->at;
+    for (long i = 0; i < k->n; i++, at += MOUNT_BOTH) {
         Mount *m = (Mount *)k->known + i;
-        const int *at = k->at + 2 * TWIST * i, *bt = at + TWIST;
-        double on_a[ROT], on_b[ROT];
         mount_at(s, k, i, m);
-        moment(m->arm, m->force, on_a);
-        moment(m->lever, m->force, on_b);
-        for (int j = 0; j < D; j++) s->residual[at[j]] -= m->force[j], s->residual[bt[j]] += m->force[j];
-
-        for (int j = 0; j < ROT; j++) {
-            s->residual[at[D + j]] -= on_a[j] + m->torque[j];
-            s->residual[bt[D + j]] += on_b[j] + m->torque[j];
-        }
+        for (int r = 0; r < MOUNT_ROWS; r++)
+            for (int j = 0; j < MOUNT_BOTH; j++) s->residual[at[j]] += m->effort[r] * m->row[MOUNT_BOTH * r + j];
     }
 }
 
@@ -170,115 +191,63 @@ static void torque_turns(const Mount *m, double *M)
 }
 #endif
 
-/* d(p x x)/dp, D x ROT */
-static inline void turned_by(const double *x, double *L)
+static inline void add_both(double *C, int r, int c, double x)
 {
-#if DIM == 3
-    L[0] = L[4] = L[8] = 0.0;
-    L[1] = x[2]; L[2] = -x[1]; L[3] = -x[2]; L[5] = x[0]; L[6] = x[1]; L[7] = -x[0];
-#else
-    L[0] = -x[1];
-    L[1] = x[0];
-#endif
+    C[MOUNT_BOTH * r + c] += x;
+    C[MOUNT_BOTH * c + r] += x;
 }
 
-/* Stiffness between the displacement u of marker b against a, and the turn p of b against a, world axes:
-
-       U = E W_uu E^T,   X = E W_up T,   Z = T^T W_pp T                                                        (2) */
-static void mount_stiffness(const Mount *m, const double *P, double cd, double ck, double *U, double *X, double *Z)
-{
-    const double *K = P + MOUNT_K, *B = P + MOUNT_C;
-    double uu[D * D], up[D * ROT], pp[ROT * ROT], half[D * D];
-    for (int r = 0; r < MOUNT_ROWS; r++)
-        for (int c = 0; c < MOUNT_ROWS; c++) {
-            int one = MOUNT_ROWS * r + c, other = MOUNT_ROWS * c + r;
-            double w = 0.5 * (ck * (K[one] + K[other]) + cd * (B[one] + B[other]));
-            if (r < D && c < D) uu[D * r + c] = w;
-            else if (r < D) up[ROT * r + c - D] = w;
-            else if (c >= D) pp[ROT * (r - D) + c - D] = w;
-        }
-
-    product(m->axes, uu, half);
-    product_transposed(half, m->axes, U);
-    multiply(m->axes, up, half, D, D, ROT);
-    multiply(half, m->turning, X, D, ROT, ROT);
-    multiply_turned(m->turning, pp, half, ROT, ROT, ROT);
-    multiply(half, m->turning, Z, ROT, ROT, ROT);
-}
-
-/* A block of the lower half and its mirror image, from row r and column c on. */
-static inline void put(double *C, int r, int c, const double *part, int rows, int columns, double sign)
-{
-    for (int i = 0; i < rows; i++)
-        for (int j = 0; j < columns; j++) C[2 * TWIST * (r + i) + c + j] = C[2 * TWIST * (c + j) + r + i] = sign * part[columns * i + j];
-}
-
-/* The symmetric part of the tangent of one bushing by the twists of both frames. With u = x_b + p_b x l - x_a - p_a x r, and the
+/* The symmetric part of what efforts change as both frames move, times ``weight``. With u = x_b + p_b x l - x_a - p_a x r, and the
    force F and the torque T on b, of which small displacements make
 
        dF = p_a x F,   d(l x F) = (p_b x l) x F + l x dF,   d(r x F) = (dx_b + p_b x l - dx_a) x F + r x dF,
-       dT = p_a x T + M (p_b - p_a)                                                                            (3) */
-static void mount_block(const Mount *m, const double *P, double cd, double ck, double geometric, const int *moves, double *C)
+       dT = p_a x T + M (p_b - p_a)                                                                            (2) */
+static void mount_curves(const Mount *m, double weight, double *C)
 {
-    enum { XA = 0, PA = D, XB = TWIST, PB = TWIST + D };
-    double U[D * D], X[D * ROT], Z[ROT * ROT], M[ROT * ROT] = {0.0}, l[D * ROT], r[D * ROT], F[D * ROT];
-    double across[D * ROT], coupled[D * ROT], part[ROT * ROT], more[ROT * ROT], turn[ROT * ROT];
-    mount_stiffness(m, P, cd, ck, U, X, Z);
+    double force[D], F[D * ROT], l[D * ROT], r[D * ROT], by_l[ROT * ROT], by_r[ROT * ROT], M[ROT * ROT] = {0.0}, T[ROT * ROT] = {0.0};
+    times(m->axes, m->effort, force);
+    turned_by(force, F);
     turned_by(m->lever, l);
     turned_by(m->arm, r);
-    turned_by(m->force, F);
+    multiply_turned(l, F, by_l, ROT, D, ROT);
+    multiply_turned(r, F, by_r, ROT, D, ROT);
 #if DIM == 3
-    if (geometric != 0.0) torque_turns(m, M);
+    double torque[3];
+    transposed(m->turning, m->effort + D, torque);
+    hat(torque, T);
+    torque_turns(m, M);
 #endif
-    for (int j = 0; j < ROT * ROT; j++) Z[j] += geometric * M[j];
 
-    if (moves[1]) {
-        multiply(U, l, across, D, D, ROT);
-        for (int j = 0; j < D * ROT; j++) across[j] += X[j];
-        multiply_turned(l, across, part, ROT, D, ROT);
-        multiply_turned(X, l, more, ROT, D, ROT);
-        multiply_turned(F, l, turn, ROT, D, ROT);
-        for (int i = 0; i < ROT; i++)
-            for (int j = 0; j < ROT; j++)
-                part[ROT * i + j] += more[ROT * i + j] + Z[ROT * i + j] - 0.5 * geometric * (turn[ROT * i + j] + turn[ROT * j + i]);
-
-        put(C, XB, XB, U, D, D, 1.0);
-        put(C, XB, PB, across, D, ROT, 1.0);
-        put(C, PB, PB, part, ROT, ROT, 1.0);
-    }
-    if (!moves[0]) return;
-
-    multiply(U, r, coupled, D, D, ROT);
-    for (int j = 0; j < D * ROT; j++) coupled[j] = geometric * F[j] - coupled[j] - X[j]; /* of x_b and p_a */
-    multiply_turned(r, coupled, part, ROT, D, ROT);
-    multiply_turned(X, r, more, ROT, D, ROT);
+    for (int i = 0; i < D; i++)
+        for (int j = 0; j < ROT; j++) {
+            add_both(C, XB + i, PA + j, weight * F[ROT * i + j]);
+            add_both(C, XA + i, PA + j, -weight * F[ROT * i + j]);
+        }
     for (int i = 0; i < ROT; i++)
-        for (int j = 0; j < ROT; j++)
-            turn[ROT * i + j] = Z[ROT * i + j] - 0.5 * (part[ROT * i + j] + part[ROT * j + i] - more[ROT * i + j] - more[ROT * j + i]);
-    put(C, XA, XA, U, D, D, 1.0);
-    put(C, XA, PA, coupled, D, ROT, -1.0);
-    put(C, PA, PA, turn, ROT, ROT, 1.0);
-    if (!moves[1]) return;
-
-    multiply_turned(l, coupled, part, ROT, D, ROT);
-    for (int j = 0; j < ROT * ROT; j++) part[j] -= more[j] + Z[j];
-#if DIM == 3
-    hat(m->torque, turn);
-    for (int j = 0; j < 9; j++) part[j] -= 0.5 * geometric * turn[j];
-#endif
-    put(C, XB, XA, U, D, D, -1.0);
-    put(C, XA, PB, across, D, ROT, -1.0);
-    put(C, XB, PA, coupled, D, ROT, 1.0);
-    put(C, PB, PA, part, ROT, ROT, 1.0);
+        for (int j = 0; j < ROT; j++) {
+            const int one = ROT * i + j, other = ROT * j + i;
+            C[MOUNT_BOTH * (PA + i) + PA + j] += weight * (M[one] - 0.5 * (by_r[one] + by_r[other]));
+            C[MOUNT_BOTH * (PB + i) + PB + j] += weight * (M[one] - 0.5 * (by_l[one] + by_l[other]));
+            add_both(C, PB + i, PA + j, weight * (by_l[one] - M[one] - 0.5 * T[one]));
+        }
 }
 
 /* The symmetric part of the tangent of all bushings, as they were evaluated last, into the fronts. */
 void mount_tangents(System *s, const Batch *k, double cd, double ck, double geometric)
 {
     for (long i = 0; i < k->n; i++) {
-        const int *pair = k->pair + 2 * i, moves[2] = {pair[0] != s->bodies, pair[1] != s->bodies}; /* the ground does not */
-        double C[4 * TWIST * TWIST];
-        mount_block((const Mount *)k->known + i, k->P + k->width * i, cd, ck, geometric, moves, C);
+        const Mount *m = (const Mount *)k->known + i;
+        const double *K = k->P + k->width * i + MOUNT_K, *B = k->P + k->width * i + MOUNT_C;
+        double W[MOUNT_ROWS * MOUNT_ROWS], half[MOUNT_ROWS * MOUNT_BOTH], C[MOUNT_BOTH * MOUNT_BOTH];
+        for (int r = 0; r < MOUNT_ROWS; r++)
+            for (int c = 0; c < MOUNT_ROWS; c++) {
+                const int one = MOUNT_ROWS * r + c, other = MOUNT_ROWS * c + r;
+                W[one] = 0.5 * (ck * (K[one] + K[other]) + cd * (B[one] + B[other]));
+            }
+
+        multiply(W, m->row, half, MOUNT_ROWS, MOUNT_ROWS, MOUNT_BOTH);
+        multiply_turned(m->row, half, C, MOUNT_BOTH, MOUNT_ROWS, MOUNT_BOTH);
+        if (geometric != 0.0) mount_curves(m, geometric, C);
         mapped_square(s, k, i, C);
     }
 }

@@ -179,6 +179,6 @@ def mount_batch(tables: TableLayout, loads: Loads) -> Any:
     return structure("Batch", tables.dim)(
         role=MOUNT, n=n, width=constants.shape[1], mapped=1, P=store.address(constants), pair=store.integers(frames),
         at=store.integers(tables.twist_places(frames).reshape(n, -1)),
-        known=store.address(np.zeros(n * (2 * size + d * d + rot * rot + 3 * d + rot))),
+        known=store.address(np.zeros(n * (2 * size * (1 + size) + d * d + rot * rot + 2 * d))),
         **square_places(tables, store, rates_of(tables, frames)),
     )  # fmt: skip
