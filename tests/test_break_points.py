@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time as clock
 from pathlib import Path
 from typing import Any
 
@@ -10,9 +11,10 @@ import numpy as np
 import pytest
 
 import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.errors import InputError
 from fmbd_fenicsx.materials import linear_elastic
 from fmbd_fenicsx.ranks import world_size
-from fmbd_fenicsx.run.schedule import step_schedule
+from fmbd_fenicsx.run.schedule import StepSchedule, far_side, near_side, step_schedule
 
 STOPS = (0.37, 0.613)
 TIMES = tuple(float(t) for t in np.linspace(0.05, 1.0, 20))
@@ -231,6 +233,38 @@ def test_a_pulse_between_break_points_far_nearer_than_a_step(scheme: Any, length
     run = fmbd.solve(scene, t_end=0.6, dt=0.01, scheme=scheme)
     assert any("roundoff of time" in line for line in run.warnings)
     assert abs(np.linalg.norm(run["v"][-1]) * 1.1 - 1.0) < 33 * np.spacing(1.0) / length
+
+
+@pytest.mark.parametrize("steps", [0, 400_000])
+def test_where_steps_end_is_found_at_once_among_many_stops(steps: int) -> None:
+    """A run of so many samples copied the list of those to come at every step."""
+
+    def spent(count: int) -> float:
+        stops = tuple(np.arange(1.0, count + 1).tolist())
+        each = steps // 400_000
+        counts = (each,) * count + (each,) if each else ()
+        schedule = StepSchedule(count + 1.0, each * (count + 1), stops, counts=counts)
+        assert schedule.next(2.0) > 0.0 and schedule.broken(near_side(2.0), 2) == far_side(
+            2.0
+        )  # places are listed once
+        begin = clock.process_time()
+        for k in range(200):
+            t = 2.0 + 0.5 * (k % 3 == 0)
+            assert schedule.next(t) > 0.0
+            assert schedule.broken(t + 0.25, 4 * count) is None
+            assert not each or schedule.left(count // 2) == 1
+        return clock.process_time() - begin
+
+    assert min(spent(100_000) for _ in range(3)) < 10 * min(spent(10) for _ in range(3))
+
+
+def test_more_samples_than_a_list_holds_are_refused() -> None:
+    scene = kicked_pendulum()
+    scene.add(fmbd.pid("pid", fmbd.angle(scene.joints["pin"]), target=0.1, gains=(1.0, 0.0, 0.1), every=1e-9))
+    with pytest.raises(
+        InputError, match=r'"pid" samples every 1e-09 s, 1e\+09 times up to t_end = 1 s .* dt that divides'
+    ):
+        fmbd.solve(scene, t_end=1.0, scheme=fmbd.Radau(3))
 
 
 def test_dense_break_points_are_told() -> None:

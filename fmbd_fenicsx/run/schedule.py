@@ -28,6 +28,7 @@ SIDE = 16  # roundings of time between a break point and either side of it
 # between two that are nearer than SHARP, more than a millionth is lost beside them
 TOGETHER, SHARP = 2.0**15, 2.0**25
 SAME = 1e-12  # share by which the sizes of steps of two stretches differ by roundoff: one factor serves both
+MOST_SAMPLES = 1e7  # of a controller in a run whose steps end at each: a list of them fills the memory
 MANY = 2.0  # times as many equal steps as without break points, from which on it is said
 
 
@@ -59,9 +60,10 @@ class StepSchedule:
         """Where steps that the scheme chooses have to end from a time on, rising (s): marks, then the near side of the next break
         point, or the end of the march.
         """
-        stop, marks = (near[bisect_right(reached, t) :] for near, reached in self._reached)
-        last = stop[0] if stop else self.t_end
-        return (*marks[: bisect_left(marks, last)], last)
+        (stops, reached), (marks, passed) = self._reached
+        i = bisect_right(reached, t)
+        last = stops[i] if i < len(stops) else self.t_end
+        return (*marks[bisect_right(passed, t) : bisect_left(marks, last)], last)
 
     def below(self, size: float) -> StepSchedule:
         """The schedule with steps of a scheme's choice that are none above a size, s."""
@@ -69,13 +71,16 @@ class StepSchedule:
 
     def left(self, done: int) -> int:
         """How many equal steps of one size there are after so many."""
-        return next(end for end in self._ends if end > done) - done if self.stops else self.steps - done
+        return self._ends[bisect_right(self._ends, done)] - done if self.stops else self.steps - done
 
     def broken(self, t: float, done: int = 0) -> float | None:
         """The far side of the break point that a step has just reached: the time at which the march goes on behind it."""
         if self.steps:
-            return far_side(self.stops[self._ends.index(done)]) if done in self._ends[:-1] else None
-        return next((far_side(x) for x in self.stops if abs(t - x) <= 4 * SIDE * np.spacing(x)), None)
+            i = bisect_left(self._ends, done)
+            return far_side(self.stops[i]) if i < len(self.stops) and self._ends[i] == done else None
+        i = bisect_left(self.stops, t - 8 * SIDE * np.spacing(t))
+        near = self.stops[i : i + 1]
+        return next((far_side(x) for x in near if abs(t - x) <= 4 * SIDE * np.spacing(x)), None)
 
     def ended(self, t: float, done: int) -> bool:
         """Whether the march is over."""
@@ -212,9 +217,17 @@ def _count(length: float, dt: float, multiple: int) -> int:
 
 def stops_within(scene: Scene, t_end: float) -> tuple[float, ...]:
     """Times inside a run at which the solution may have a kink: break points, and samples of controllers."""
-    periods = {force.period for force in scene.forces.values() if force.period is not None}
-    samples = [k * period for period in periods for k in range(1, int(np.ceil(t_end / period)))]
-    return tuple(sorted({float(t) for t in (*scene.breakpoints, *samples) if scene.begins < t < t_end}))
+    periods = {float(force.period): name for name, force in scene.forces.items() if force.period is not None}
+    for period, name in periods.items():
+        require(
+            t_end <= MOST_SAMPLES * period,
+            f'Controller "{name}" samples every {period:g} s, {t_end / period:.3g} times up to t_end = {t_end:g} s (is one of '
+            "them in another unit?), and steps end at each. Take a shorter run, or a scheme of equal steps with a dt that "
+            "divides the period.",
+        )
+    samples = [period * np.arange(1, int(np.ceil(t_end / period))) for period in periods]
+    times = np.unique(np.concatenate([np.array(scene.breakpoints, dtype=float), *samples]))
+    return tuple(times[(times > scene.begins) & (times < t_end)].tolist())
 
 
 def _apart(scene: Scene, t_end: float) -> tuple[float, ...]:

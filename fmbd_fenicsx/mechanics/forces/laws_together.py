@@ -50,11 +50,15 @@ class LawsTogether:
     """The laws of n elements; ``size``: what elongations may be, m or rad."""
 
     def __init__(self, laws: Sequence[Repeatable], size: float = 1.0) -> None:
-        self.laws, self.least = laws, LEAST * size
+        self.laws, self.size, self.least = laws, size, LEAST * size
         kinds: dict[Hashable, list[int]] = {}
         for i, law in enumerate(laws):
             kinds.setdefault(_kind(law.function), []).append(i)
         self.kinds = [OneKind([laws[i] for i in which], np.array(which)) for which in kinds.values()]
+
+    def part(self, which: Sequence[int] | np.ndarray) -> LawsTogether:
+        """Those of some elements."""
+        return LawsTogether([self.laws[i] for i in which], self.size)
 
     def __call__(self, s: Array, rate: Array, t: Times) -> Array:
         """N at elongations and rates: all (.., n); at one time, or (k, n) at as many times."""

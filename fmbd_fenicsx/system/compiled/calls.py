@@ -127,10 +127,10 @@ class Calls:
         tables = self.tables
         said: dict[str, Callable[[int, float], None]] = {
             "SAMPLE": self.sample,
-            "EFFORT": lambda number, t: self._effort(tables.sources[number], t),
-            "EFFORTS_AHEAD": lambda number, count: self._efforts_ahead(tables.sources[number], int(count)),
-            "EFFORT_MEANS": lambda number, t: self._mean_effort(tables.sources[number], t),
-            "SLOPES": lambda number, t: self._slopes(tables.sources[number], t),
+            "EFFORT": self._effort,
+            "EFFORTS_AHEAD": self._efforts_ahead,
+            "EFFORT_MEANS": self._mean_effort,
+            "SLOPES": self._slopes,
             "KEEP": lambda number, t: tables.listening.keep(t),
             "EFFORTS": lambda number, t: tables.listening.efforts(t),
             "COLLOCATE": lambda number, t: tables.listening.collocate(),
@@ -217,31 +217,35 @@ class Calls:
         if self.heavier:
             tables.arrays["gravity"][:] = self.system.gravity(t)
 
-    def _effort(self, items: Items, t: float) -> None:
-        x = items.arrays
-        assert items.law is not None
-        x["effort"][:] = items.law(x["s"] - x["free"], x["rate"], t)
+    def _effort(self, number: int, t: float) -> None:
+        items = self.tables.sources[number]
+        x, law = items.arrays, items.law
+        assert law is not None
+        x["effort"][:] = law(x["s"] - x["free"], x["rate"], t)
 
-    def _efforts_ahead(self, items: Items, count: int) -> None:
+    def _efforts_ahead(self, number: int, count: float) -> None:
         """N at so many points of a step."""
-        free, points = items.arrays["free"], items.ahead[:count]
+        items = self.tables.sources[number]
+        free, points, law = items.arrays["free"], items.ahead[: int(count)], items.law
         n = free.size
-        assert items.law is not None
+        assert law is not None
         s, rate = points[:, 1 : 1 + n] - free, points[:, 1 + n : 1 + 2 * n]
-        points[:, 1 + 2 * n :] = items.law(s, rate, points[:, :1])
+        points[:, 1 + 2 * n :] = law(s, rate, points[:, :1])
 
-    def _mean_effort(self, items: Items, t: float) -> None:
+    def _mean_effort(self, number: int, t: float) -> None:
         """Means of laws over a step, from the coordinates where it begins on at their mean rates."""
+        items = self.tables.sources[number]
         x, law = items.arrays, items.law
         assert law is not None
         begun, rate = x["s"] - x["free"], x["rate"]
         x["effort"][:] = mean_effort(lambda s, rate: law(s, rate, t), begun, rate, self.tables.c.span)
 
-    def _slopes(self, items: Items, t: float) -> None:
+    def _slopes(self, number: int, t: float) -> None:
         """Derivatives of laws by the coordinate and by its rate."""
-        x = items.arrays
-        assert items.slopes is not None
-        x["stiffness"][:], x["damping"][:] = items.slopes(x["s"] - x["free"], x["rate"], t)
+        items = self.tables.sources[number]
+        x, law = items.arrays, items.law
+        assert law is not None
+        x["stiffness"][:], x["damping"][:] = law.slopes(x["s"] - x["free"], x["rate"], t)
 
 
 def _load_of(tables: Tables, items: Items) -> Callable[[float], None]:

@@ -21,6 +21,7 @@ import numpy as np
 from .....mechanics.forces.force_elements import Loads, ScalarLoads, TimeLoads
 from .....mechanics.forces.forces import Constant
 from .....mechanics.forces.formulas import Formula
+from .....mechanics.forces.laws_together import LawsTogether
 from .....mechanics.joints import constraints as ct
 from .....mechanics.joints.couplings import CouplingBatch
 from .....mechanics.joints.relative import CoordinateSums, RelativeCoordinates
@@ -55,8 +56,7 @@ class Items:
     damping: Array | None = None
     free: Array | None = None
     effort: Array | None = None
-    law: Callable[..., Array] | None = None
-    slopes: Callable[..., tuple[Array, Array]] | None = None
+    law: LawsTogether | None = None
     drive: list[Any] = field(default_factory=list)
     load: Callable[[float], dict[str, Array]] | None = None
     given: Callable[[float], Array] | None = None
@@ -124,12 +124,11 @@ class Items:
 
     def _laws(self, which: np.ndarray) -> tuple[Any, ...]:
         """What changes in time, of some items."""
-        law, slopes, load, given = self.law, self.slopes, self.load, self.given
+        law, load, given = self.law, self.load, self.given
         if len(which) == len(self):
-            return law, slopes, self.drive, load, given
+            return law, self.drive, load, given
         return (
-            law and (lambda s, rate, t: law(s, rate, t, which)),
-            slopes and (lambda s, rate, t: slopes(s, rate, t, which)),
+            law and law.part(which),
             [self.drive[i] for i in which] if self.drive else [],
             load and (lambda t: {n: x[which] for n, x in load(t).items()}),
             given and (lambda t: given(t)[which]),
@@ -225,8 +224,7 @@ def _efforts(loads: ScalarLoads, looks: Looks) -> list[Items]:
     if len(called):
         part = whole.part(called)
         part.role = LAW
-        part.law = lambda s, rate, t, which=slice(None): loads.laws_of(called[which])(s, rate, t)
-        part.slopes = lambda s, rate, t, which=slice(None): loads.laws_of(called[which]).slopes(s, rate, t)
+        part.law = loads.laws_of(called)
         out.append(part)
     return out
 
