@@ -11,7 +11,7 @@ call by one of them in turn. A kind that does not take arrays is asked element b
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from itertools import cycle, repeat
 from math import isfinite
 from operator import attrgetter, is_
@@ -159,7 +159,7 @@ class OneKind:
 
 def _alone(laws: Sequence[Repeatable], s: Array, rate: Array, t: Times) -> Array:
     """N at elongations and rates, all (.., n), each number by itself."""
-    times: Iterable[float] = repeat(t) if isinstance(t, float) else t.repeat(len(laws)).tolist()
+    times: Any = repeat(t) if isinstance(t, float) else t.repeat(len(laws)).tolist()
     numbers = zip(cycle(laws), s.ravel().tolist(), rate.ravel().tolist(), times, strict=False)
     return np.array([law.number(x, v, now) for law, x, v, now in numbers]).reshape(s.shape)
 
