@@ -455,3 +455,46 @@ def test_smallest_multipliers_of_a_tower_are_found_by_the_driver(loops: int) -> 
     assert found is not None
     G = dense(system.at(state.t, state.q).jacobian.core)
     np.testing.assert_allclose(G.T @ found[0], G.T @ lam, rtol=0, atol=1e-9 * np.abs(G.T @ lam).max())
+
+
+@compiled
+def test_rows_that_hold_a_light_body_together_move_heavy_ones() -> None:
+    """Three cranks of 1 kg and a coupler of 1e-9: its pins move by 1e9 of what combinations of them move, the cranks alone."""
+    scene, angle = fmbd.Scene("cranks", gravity=(0.0, 0.0)), 0.3
+    at = np.array([np.cos(angle), np.sin(angle)])
+    coupler = fmbd.RigidBody("coupler", 1e-9, 1e-10, tuple(at + (1.0, 0.0)))
+    scene.add(coupler)
+    for i in range(3):
+        crank = fmbd.RigidBody(f"crank {i}", 1.0, 1.0 / 12.0, tuple(at / 2 + (i, 0.0)))
+        pin: Any = fmbd.revolute(f"low {i}", fmbd.ground, crank, center=(i, 0.0))
+        scene.add(crank, pin, fmbd.revolute(f"high {i}", crank, coupler, center=tuple(at + (i, 0.0))))
+        if i == 0:
+            scene.add(fmbd.drive("motor", fmbd.angle(pin), lambda t: t * t))
+    scene.sensor("torque", fmbd.reaction("motor"))
+    run = fmbd.solve(
+        scene, t_end=0.1, dt=5e-3, scheme=fmbd.Radau(3, rtol=None), output=fmbd.Output(estimate_error=False)
+    )
+    assert abs(run["torque"][-1, 0]) == pytest.approx(2.0 * 3.0 / 3.0, rel=1e-6)
+    assert not run.counters["halved_steps"] and run.counters["newton_iterations"] < 100  # no end, or 240 at 1e-8 kg
+
+
+@compiled
+@pytest.mark.parametrize("scheme", [fmbd.Radau(), fmbd.BDF()], ids=["Radau", "BDF"])
+def test_a_light_door_on_a_heavy_frame_whose_hinges_are_nearly_in_line(scheme: Any) -> None:
+    """Out of line by 3e-8 rad, which counts as none: reactions were 35 % off, or steps had no end."""
+    reactions = []
+    for off in (0.0, 3e-8):
+        scene = fmbd.Scene("door", gravity=(0.0, 0.0, -9.81))
+        frame, leaf = (
+            fmbd.RigidBody("frame", 1.0, np.eye(3)),
+            fmbd.RigidBody("leaf", 1e-8, 1e-9 * np.eye(3), (0.5, 0.0, 0.5)),
+        )
+        scene.add(frame, leaf, fmbd.revolute("base", fmbd.ground, frame, center=(0, 0, 0), axis=(0, 1, 0)))
+        for i in range(3):
+            axis = (0.0 if i else off, 0.0, 1.0)
+            scene.add(fmbd.revolute(f"hinge {i}", frame, leaf, center=(0, 0, 0.5 * i), axis=axis))
+        scene.add(fmbd.torque("push", leaf, lambda t: (0.0, 0.0, 3e-9)))
+        scene.sensor("force", fmbd.reaction_force("hinge 1"))
+        run = fmbd.solve(scene, t_end=0.3, scheme=scheme, output=fmbd.Output(estimate_error=False))
+        reactions.append(np.abs(run["force"]).max())
+    assert reactions[1] == pytest.approx(reactions[0], rel=1e-5)

@@ -79,10 +79,14 @@ static void balance(const Stages *o, double *rows, double *columns)
     }
 }
 
-/* How soft dependent rows are at a frequency of one, by the masses. */
+static const double LEAST_SOFT = 1e-12; /* as SOFT: above what roundoff leaves of pivots */
+static const double FIRM = 1e-6;        /* most that a solution may leave open of the row that moves least */
+
+/* How soft dependent rows are at a frequency of one, by the masses. Rows that hold light bodies may together move heavy ones alone: that
+   is closed as well. */
 static void soften_rows(const Stages *o)
 {
-    double *mass = o->x, largest = 0.0;
+    double *mass = o->x, most = 0.0, least = INFINITY;
     for (int j = 0; j < o->n; j++)
         for (int p = o->start[j]; p < o->start[j + 1]; p++)
             if (o->row[p] == j) mass[j] = o->K2[p];
@@ -90,9 +94,12 @@ static void soften_rows(const Stages *o)
         double weight = 0.0;
         for (int p = o->start[o->n + i]; p < o->start[o->n + i + 1]; p++)
             if (o->row[p] < o->n && mass[o->row[p]] > 0.0) weight += o->K0[p] * o->K0[p] / mass[o->row[p]];
-        largest = fmax(largest, weight * o->units[i] * o->units[i]);
+        weight *= o->units[i] * o->units[i];
+        most = fmax(most, weight);
+        if (weight > 0.0) least = fmin(least, weight);
     }
-    for (int i = 0; i < o->m; i++) o->softness[i] = SOFT * largest / (o->units[i] * o->units[i]);
+    const double soft = fmax(fmin(SOFT * most, FIRM * least), LEAST_SOFT * most);
+    for (int i = 0; i < o->m; i++) o->softness[i] = soft / (o->units[i] * o->units[i]);
 }
 
 #define NUMBER double
