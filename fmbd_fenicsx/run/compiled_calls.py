@@ -161,6 +161,8 @@ class CompiledCalls:
         """
         stepper = self.stepper
         self._bound()
+        if not self.equal:  # longer ones may have been made meanwhile
+            steps = min(steps, int((self._last - stepper.state.t) / h + 1e-6) + 1)
         joints = self.closed if self.closed.judging else None
         made = stepper.march(self._limit(stepper.state.t), steps, Observers(joints=joints, tape=tape))
         self.local_error = max(self.local_error, stepper.local_error)

@@ -113,12 +113,6 @@ class StepControl:
         """Step of which an error is expected that may be, where one of size h (s) has this error."""
         return h * growth_factor(max(error, NO_ERROR), self.order, self.safety)
 
-    def pressure(self, factor: float) -> float:
-        """The larger of error and error^2 / error_old after which a step of the same size as the one before is followed by one of
-        ``factor`` times its size; more than this shrinks it.
-        """
-        return (self.safety / factor) ** self.order
-
     @property
     def tiny(self) -> float:
         """A step that is too small to matter, s."""

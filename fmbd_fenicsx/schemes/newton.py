@@ -214,7 +214,7 @@ def known_gaps(ev: Evaluation, g: Array) -> Array:
     increment of roundoff over sigma, which no iteration makes smaller. Bodies keep the places that they are predicted in then.
     """
     system = ev.system
-    known = system.row_units * np.abs(g) > 16 * np.finfo(float).eps * (system.length + farthest(system, ev.q))
+    known = system.row_units * np.abs(g) > LEFT_OF_PLACES * (system.length + farthest(system, ev.q))
     return np.where(known | ~system.in_lengths, g, 0.0)
 
 

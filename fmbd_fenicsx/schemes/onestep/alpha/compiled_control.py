@@ -1,65 +1,57 @@
-"""Error control of compiled steps of one size: what :mod:`.variable_alpha` lends to ``driver/marches/control.c`` for a march.
+"""Error control of compiled steps: what :mod:`.variable_alpha` lends to ``driver/marches/control.c`` for a march.
 
-C judges each step by the norm of :class:`~...error_norm.NormOfWays` and goes on while the next step has the same size. It stops
-behind a step after which the size may change, and before one that is refused: all decisions are Python's.
+C judges each step by the norm of :class:`~...error_norm.NormOfWays` and chooses the next, as long as no load or drive within that one
+has to be looked at; what belongs to a size changes with it. It stops where Python has to look, and where a step fails.
 """
 
 from __future__ import annotations
 
 import ctypes
-from dataclasses import dataclass
+from fractions import Fraction
 
 import numpy as np
 
 from ....rotations import Array
-from ....system.compiled.own_steps import deflections_of
+from ....system.compiled.own_steps import OwnSteps, deflections_of
 from ....system.compiled.tables.resting import twin_of
 from ....system.compiled.tables.structures import Store, structure
-from ...control import FADING, LEAST_ERROR, TURN, StepControl
+from ....system.element_memory import next_sample
+from ...control import FADING, LEAST_ERROR, PATIENCE, REFUSED, TURN, StepControl
 from ...error_norm import NormOfWays
-
-
-@dataclass(frozen=True)
-class Stay:
-    """Up to when steps keep their size h (s).
-
-    ``place``: the present one, in steps of h; ``count`` of them are a ``stretch`` (s), up to ``end`` (s);
-    ``ratio``: of the next larger size, which begins at its multiples, 0 without one;
-    ``keeps``: share of h that a proposal must have; ``calm``: error below which loads are looked at behind the time ``quiet``;
-    ``until``: a time, s;
-    ``peak``: the largest error of late.
-    """
-
-    place: int
-    count: int
-    stretch: float
-    end: float
-    ratio: int
-    keeps: float
-    calm: float
-    quiet: float
-    until: float
-    peak: float
+from .quiet_times import CALM, QuietTimes
+from .stretch import Stretch, parts
+from .variable_alpha import KEEPS
 
 
 class CompiledControl:
-    """``Control`` of tables.h for one norm, of a system whose local coordinates are all deformations."""
+    """``Control`` of tables.h for one norm and one controller, of a system whose local coordinates are all deformations."""
 
-    def __init__(self, norm: NormOfWays, *, laws: bool) -> None:
-        """``laws``: whether forces follow laws."""
-        self.norm, self.store = norm, Store()
-        self.twin = twin_of(norm.system)
-        s, dim = self.twin.system, norm.system.motions.dim
+    def __init__(self, norm: NormOfWays, control: StepControl, *, laws: bool, bends: bool) -> None:
+        """``laws``: whether forces follow laws; ``bends``: whether bodies do."""
+        self.norm, self.control, self.store = norm, control, Store()
+        self.twin, system = twin_of(norm.system), norm.system
+        s, dim = self.twin.system, system.motions.dim
 
         self.deflections = deflections_of(s, norm.deforming, self.store)
+        harsh, mild = REFUSED
+        self.sizes = OwnSteps(
+            order=control.order, safety=control.safety, shrink=control.shrink, grow=control.grow, least=LEAST_ERROR,
+            harsh=harsh, mild=mild, patience=PATIENCE,
+        )  # fmt: skip
+        # elastic fields have factors of few sizes, and of rows of a user's own roundoff is unknown
+        self.resizes = not system.fields and bool(system.in_lengths.all())
 
         # tolerances and arrays that C works in
-        sizes = {"e": s.n_v, "y": s.n_lam, "a": s.n_v, "missed": s.n_v, "fastest": 2, "faster": 2}
-        work = self.store.zeros(sizes)
+        sizes = dict.fromkeys(("e", "a", "missed_speed", "v", "A"), s.n_v) | dict.fromkeys(
+            ("y", "open", "noise"), s.n_lam
+        )
+        work = self.store.zeros({**sizes, "fastest": 2, "faster": 2})
         self._fastest = work["fastest"][0]
         self.c = structure("Control", dim)(
-            rtol=norm.rtol, atol=norm.atol or 0.0, length=s.length, least=norm.least, floor=LEAST_ERROR, turn=TURN, fading=FADING,
-            frames=norm.system.n_frames, core=norm.system.n_core, laws=laws,
+            rtol=norm.rtol, atol=norm.atol or 0.0, length=s.length, least=norm.least, turn=TURN, fading=FADING,
+            frames=system.n_frames, core=system.n_core, laws=laws, bends=bends,
+            timed=bool(system.prescribes or system.pushes_in_time), keeps=KEEPS, calm=CALM,
+            own=ctypes.addressof(self.sizes),
             deforming=len(norm.deforming), deflection=self.store.structure(self.deflections),
             **{name: address for name, (_, address) in work.items()},
         )  # fmt: skip
@@ -70,9 +62,11 @@ class CompiledControl:
         """For C."""
         return ctypes.addressof(self.c)
 
-    def lend(self, control: StepControl, stay: Stay) -> None:
-        """Sizes and errors so far, and up to when steps keep their size."""
-        norm, c = self.norm, self.c
+    def lend(self, stretch: Stretch, level: int, quiet: QuietTimes, *, until: float, last: float) -> None:
+        """Sizes and errors so far; the next step, one of the parts of a level of a stretch, as long as others behind it up to a time
+        (s); until when (s) steps may begin.
+        """
+        norm, c, control = self.norm, self.c, self.control
         if self._origin is not norm.origin:
             assert norm.origin is not None
             self._origin = norm.origin
@@ -80,17 +74,30 @@ class CompiledControl:
         for one, largest in zip(self.deflections, norm.deflections, strict=True):
             one.size = largest
         self._fastest[:] = [norm.v_size[block].max(initial=0.0) for block in norm.sizes.blocks]
-        c.way, c.error, c.largest, c.peak = norm.way, control.error_old, 0.0, stay.peak
+        c.way, c.largest = norm.way, 0.0
 
-        c.place, c.count, c.stretch, c.end = stay.place, stay.count, stay.stretch, stay.end
-        c.ratio, c.calm, c.quiet, c.until = stay.ratio, stay.calm, stay.quiet, stay.until
-        c.high = min(control.pressure(stay.keeps), 1.0)
-        c.low = control.pressure(stay.ratio) if stay.ratio else 0.0
+        # where in which stretch
+        c.count, c.place = parts(level), int(stretch.done * parts(level))
+        c.stretch, c.end, c.more, c.last = stretch.length, stretch.end, stretch.more(until), last
+        c.lost, c.until = stretch.lost or (np.inf, -np.inf)
+        c.chooses = self.resizes and next_sample(norm.system) == np.inf
+        c.looked, (c.quiet_size, c.quiet) = quiet.largest, quiet.quiet
 
-    def take(self, control: StepControl) -> None:
-        """Take back what :meth:`lend` gave."""
-        norm, c = self.norm, self.c
+        # the controller
+        c.size_before, c.missed = control.h_old, control.error_old
+        c.refused, c.refusals = len(control.rejections), 0
+        self.sizes.tiny = control.tiny
+
+    def take(self, stretch: Stretch, t: float) -> None:
+        """Take back what :meth:`lend` gave, at a time t, s."""
+        norm, c, control = self.norm, self.c, self.control
         norm.deflections = np.array([one.size for one in self.deflections])
         for block, speed in zip(norm.sizes.blocks, self._fastest, strict=True):
             norm.v_size[block] = speed
-        norm.way, control.error_old = c.way, c.before
+        norm.way = c.way
+        stretch.done, stretch.end = Fraction(c.place, c.count), c.end
+        if c.lost < np.inf:
+            stretch.lost = c.lost, c.until
+        control.h_old, control.error_old = c.size_before, c.missed
+        if c.refusals or not c.refused:
+            control.rejections = [(t, c.tried, "error estimate")] * c.refused

@@ -227,7 +227,7 @@ class CompiledAlphaStepper(CompiledSteps, AlphaStepper):
         return not self.fresh
 
     def controlled(self, h: float, steps: int, control: CompiledControl, observers: Observers) -> int:
-        """:meth:`march` under error control, up to where the size may change, or a step is refused."""
+        """:meth:`march` under error control, beginning with a step of size h (s), up to where Python has to look or a step fails."""
         if self.fresh or not self._ready(h) or self._is_refused(h):
             return 0
         made = self._steps(h, steps, observers, control)
@@ -278,11 +278,11 @@ class CompiledAlphaStepper(CompiledSteps, AlphaStepper):
             joints.passed(driver.state().t, float(driver.closed.fastest))
         if made:
             take_energies(p, observers.energy)
-            self.size = h
+            self.size = p[slots.H] if control is None else control.c.size
             self._take(made)
         # not again from the same state with the same step: NumPy has it
         if verdict in (slots.NEWTON, slots.SINGULAR):
-            self._refuse(h)
+            self._refuse(h if control is None else control.c.tried)
         return made
 
     def tape(self, judged: Openness) -> Tape | None:

@@ -20,13 +20,15 @@ from ....errors import LinearSolveError
 from ....linear.blocks.field_blocks import Weights
 from ....linear.condensation import StepSolver
 from ....rotations import Array
+from ....system.compiled.declarations import constants
 from ....system.evaluation import Evaluation
 from ....system.layout import State
 from ....system.system import System
 from ...newton import known_gaps
 from .stretch import DEEPEST, Stretch
 
-FARTHEST = 10.0  # times the least motion that closes constraints: one that bends bodies less may be as large
+# times the least motion that closes constraints: one that bends bodies less may be as large
+(FARTHEST,) = constants("marches/control.c", "FARTHEST_MOTION")
 
 
 @dataclass(frozen=True)

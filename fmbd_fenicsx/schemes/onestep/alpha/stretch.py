@@ -9,11 +9,13 @@ from __future__ import annotations
 from fractions import Fraction
 from typing import ClassVar
 
+from ....system.compiled.declarations import constants, enumeration
 from ....system.serialisation import Memory, Remembering, plain
 
-DEEPEST = 48  # levels of parts; the finest are below roundoff
-SAME = 1e-9  # lengths of a stretch that differ by this share are equal
-HELD = 10.0  # times its length that a step is held for too long in which M is lost beside s K
+# levels of parts, the finest are below roundoff; by what share lengths of a stretch that are equal may differ; how many times its
+# length a step is held for too long in which M is lost beside s K
+DEEPEST = enumeration("DEEPEST", "marches/control.c")["DEEPEST"]
+SAME, HELD = constants("marches/control.c", "SAME_SIZE", "LOST_FOR")
 
 
 def parts(level: int) -> int:
@@ -50,19 +52,13 @@ class Stretch(Remembering):
             self.length = left
         self.done, self.end = Fraction(0), t + left
 
-    def go_on(self, made: int, level: int) -> None:
-        """So many parts of a level are done, in this stretch and in others as long behind it."""
-        count = parts(level)
-        done = int(self.done * count) + made
-        while done > count:
-            done -= count
-            self.end += self.length
-        self.done = Fraction(done, count)
+    def go_on(self, level: int) -> None:
+        """A part of a level is done."""
+        self.done += Fraction(1, parts(level))
 
-    def left(self, level: int, until: float) -> int:
-        """How many parts of a level there are up to the end of the last of such stretches that ends at a time (s) or before."""
-        more = max(int((until - self.end) / self.length * (1 + SAME) + SAME), 0)
-        return int((1 + more - self.done) * parts(level))
+    def more(self, until: float) -> int:
+        """How many such stretches may follow up to a time, s."""
+        return max(int((until - self.end) / self.length * (1 + SAME) + SAME), 0)
 
     def size(self, level: int) -> float:
         """Of the parts of a level, s."""

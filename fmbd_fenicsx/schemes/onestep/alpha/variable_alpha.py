@@ -61,7 +61,7 @@ if TYPE_CHECKING:
     from ....system.compiled.kept import KeptSteps
     from ....system.compiled.tape import Openness, Tape
     from ....system.layout import States
-    from .compiled_control import CompiledControl, Stay
+    from .compiled_control import CompiledControl
     from .generalized_alpha import GeneralizedAlpha
 
 KEPT = 9  # sets of elastic factors: those of eight sizes, and that of the whole stretch
@@ -191,7 +191,7 @@ class VariableAlpha(TimeStepper):
 
         self.local_error, self.peak = error, max(error, FADING * self.peak)
         self._count(h, error)
-        self.stretch.go_on(1, level)
+        self.stretch.go_on(level)
         return self.state
 
     def _chosen(self, proposed: float) -> int:
@@ -228,9 +228,9 @@ class VariableAlpha(TimeStepper):
         self.stats.rejected[cause] += 1
         return min(self.control.rejected(self.state.t, h, error, cause), 0.9 * h)
 
-    def _count(self, h: float, error: float, steps: int = 1) -> None:
-        """So many accepted steps of size h (s); the error of the newest."""
-        self.stats.steps += steps
+    def _count(self, h: float, error: float) -> None:
+        """An accepted step of size h (s), and its error."""
+        self.stats.steps += 1
         self.error, self.proposed = error, self.control.accepted(h, error)
         # errors of vibrations pass through zero: no sign that larger steps will do
         if self.proposed > h:
@@ -266,49 +266,43 @@ class VariableAlpha(TimeStepper):
         return remembered and len(self.norm.deforming) == len(self.system.parts)
 
     def march(self, h: float, steps: int, observers: Observers = UNOBSERVED) -> int:
-        """Up to so many accepted steps of one size, at most h (s), in one call of compiled code, as :meth:`advance` makes one;
-        fewer where the size may change or a step is refused: one, of a new size.
+        """Up to so many accepted steps, each at most h (s), in one call of compiled code, as :meth:`advance` makes them; fewer where
+        Python has to look at what comes, or a step fails.
         """
         if self._next_level(h) is None:
             return 0
         assert self.proposed is not None
         level = self._chosen(self.proposed)
-        size, left = self.stretch.size(level), self.stretch.left(level, self.until)
-        steps = int(min(steps, left, whole_steps(self.system, self.state.t, size)))
+        size = self.stretch.size(level)
+        last = self.state.t + (steps - 1) * size
+        steps = int(min(steps, whole_steps(self.system, self.state.t, size)))
         if steps <= 0:
             return 0
 
-        same = size == self.resized.size
-        made = self._compiled_steps(level, steps, observers) if same else self._changed(level, observers)
+        control, kept = self._control(), self.resized.held
+        resized = size != self.resized.size and not control.resizes
+        try:
+            if resized:
+                self.resized.resize(size)
+                self.resized.size, steps = size, 1
+        except LinearSolveError:
+            self.resized.held = kept
+            return 0
+
+        control.lend(self.stretch, level, self.quiet, until=self.until, last=last)
+        c = control.c
+        c.proposed, c.size, c.error, c.peak = self.proposed, self.resized.size, self.error, self.peak
+        made: int = self.inner.controlled(size, steps, control, observers)
+        control.take(self.stretch, self.state.t)
+        self.proposed, self.resized.size, self.error, self.peak = c.proposed, c.size, c.error, c.peak
+        self.local_error = max(self.local_error, c.largest)
+        self.stats.steps += made
+        if c.refusals:
+            self.stats.rejected["error estimate"] += c.refusals
         if made:
             self.solver.near_singular.accept_trial()
-            self.stretch.go_on(made, level)
-            self.resized.arrive(self.stretch.time(self.stretch.done))
-        return made
-
-    def _changed(self, level: int, observers: Observers) -> int:
-        """The first step of another size; 0, and all as before, where it is refused."""
-        kept = self.resized.held
-        try:
-            self.resized.resize(self.stretch.size(level))
-            made = self._compiled_steps(level, 1, observers)
-        except LinearSolveError:
-            made = 0
-        if not made:
+        elif resized:
             self.resized.held, self.newton.theta = kept, 0.5
-        return made
-
-    def _compiled_steps(self, level: int, steps: int, observers: Observers) -> int:
-        """Up to so many accepted steps of a level in one call of compiled code."""
-        size, control = self.stretch.size(level), self._control()
-        control.lend(self.control, self._stay(level))
-        made: int = self.inner.controlled(size, steps, control, observers)
-        if made:
-            self.resized.size = size
-            control.take(self.control)
-            self.peak = control.c.peak
-            self.local_error = max(self.local_error, control.c.largest)
-            self._count(size, control.c.error, made)
         return made
 
     def _control(self) -> CompiledControl:
@@ -316,20 +310,8 @@ class VariableAlpha(TimeStepper):
         if self._compiled is None:
             from .compiled_control import CompiledControl
 
-            self._compiled = CompiledControl(self.norm, laws=self.laws)
+            self._compiled = CompiledControl(self.norm, self.control, laws=self.laws, bends=self.resized.change.bends)
         return self._compiled
-
-    def _stay(self, level: int) -> Stay:
-        """Up to when steps keep the present size, that of the parts of a level."""
-        from .compiled_control import Stay
-
-        stretch, count = self.stretch, parts(level)
-        ratio, until = count // parts(level - 1) if level else 0, np.inf
-        if ratio and stretch.loses(stretch.size(level - 1), self.state.t):
-            assert stretch.lost is not None
-            ratio, until = 0, stretch.lost[1]
-        place, quiet = int(stretch.done * count), self.quiet.until(stretch.size(level))
-        return Stay(place, count, stretch.length, stretch.end, ratio, KEEPS, CALM, quiet, until, self.peak)
 
     @property
     def path(self) -> str:  # type: ignore[override]

@@ -474,24 +474,31 @@ typedef struct {
     double size, reached;              /* m, the largest displacement so far, and with the newest state */
 } Deflection;
 
-/* Error control of a march: tolerances, sizes so far, and up to when steps keep their size. See control.c. */
+/* Error control of a march: tolerances, sizes so far, and what the next step may be. See control.c. */
 typedef struct {
     double rtol, atol, length, least, way, reached;
     double unknown;                    /* what increments of places may be roundoff of, m */
     const double *origin;              /* the configuration that ways are measured from */
     long frames, core;                 /* that move, and entries like v of these and of what is no field */
     long laws;                         /* whether forces follow laws, whose stiffness may not last */
-    long deforming, place, ratio;      /* place: in steps of this size; ratio: of the next larger one, 0: there is none */
+    long deforming;
     Deflection *deflection;
-    double high, low;                  /* pressures above which steps shrink, and up to which they grow */
-    long count;                        /* of steps of this size in the stretch */
-    double stretch, end;               /* its length and its end, s */
-    double calm, floor, turn, until;   /* error below which nothing happens; least error that is remembered; rad; s */
-    double quiet;                      /* up to when loads have been looked at, s */
-    double error, before, largest;     /* of the newest step, of the one before, of all of a march */
+    struct OwnSteps *own;              /* proposes sizes, see own_steps.c */
+    long chooses, timed, bends;        /* whether C may change sizes; whether loads want looks; whether bodies bend */
+    long place, count, more;           /* of the stretch: in steps of this size, and of how many; how many as long may follow */
+    double stretch, end, last;         /* its length and its end; until when steps may begin, s */
+    double lost, until;                /* size of steps in which masses are lost beside stiffness, and until when, s */
+    double calm, turn, keeps;          /* error below which nothing happens; rad; share of a size that a proposal to keep it must have */
+    double quiet, quiet_size, looked;  /* up to when loads have been looked at, in steps of which size; the largest such size, s */
+    double proposed, size;             /* for the next step, and of the newest, s */
+    double size_before, missed;        /* of the step that the controller remembers, 0: there is none, and its error */
+    double trial, tried;               /* error of the newest try at a step; size of the newest that has failed, s */
+    double error, largest;             /* of the newest step, and of all of a march */
+    long refused, refusals;            /* errors that have refused the next step so far, and all of a march */
     double *fastest, *faster;          /* speed and spin of frames so far, m/s and rad/s, and with the newest state, 2 each */
     double peak, fading;               /* the largest of late, which fades by this factor from step to step */
-    double *e, *y, *a, *missed;        /* work: like v, the rows, like v twice */
+    double *e, *y, *a, *missed_speed;  /* work: like v, the rows, like v twice */
+    double *open, *noise, *v, *A;      /* work: the rows twice; what the newest state had before a change of size, like v */
 } Control;
 
 /* What Python is asked for, and its answer where a body does not go: NumPy makes, or refuses, the step. */

@@ -1,5 +1,6 @@
-/* Error control of steps of one size: the norm of schemes/error_norm.py (NormOfWays) for errors of positions, and whether the next step
-   has this size too, as schemes/onestep/alpha/variable_alpha.py decides it. Every other decision is Python's. */
+/* Error control of generalized-alpha: the norm of schemes/error_norm.py (NormOfWays) for errors of positions, and the size of the next
+   step, as schemes/onestep/alpha/variable_alpha.py decides it. Where loads want a look, and where elastic fields or samples are, every
+   change of size is Python's. */
 
 #if DIM == 3
 /* Largest component of the smallest rotation vector between two attitudes. */
@@ -97,18 +98,18 @@ static int with_speeds(System *s, const double *p, Control *c, const Block *past
     int verdict;
     for (int i = 0; i < s->nv; i++) {
         double led = past[0].a[i] + h / before * (past[0].a[i] - past[1].a[i]);
-        c->missed[i] = scale * (out->a[i] - led);
+        c->missed_speed[i] = scale * (out->a[i] - led);
     }
     /* the balance is linear in accelerations: a jump that is large beside what Newton's iteration leaves of them */
-    const double jump = FAR_JUMP * fmax(typical(s, past->a), typical(s, out->a)), part = largest_of(s->units, c->missed, s->nv) / jump;
+    const double jump = FAR_JUMP * fmax(typical(s, past->a), typical(s, out->a)), part = largest_of(s->units, c->missed_speed, s->nv) / jump;
     double found = *error;
-    if (!(error_norm(s, c, out->q, c->missed, h) > fmax(found, c->calm))) return DONE; /* less is what Newton's iteration leaves */
+    if (!(error_norm(s, c, out->q, c->missed_speed, h) > fmax(found, c->calm))) return DONE; /* less is what Newton's iteration leaves */
 
     for (int k = 0; k < 2; k++) {
         const Block *at = ends[k];
-        for (int i = 0; i < s->nv; i++) c->a[i] = at->a[i] + c->missed[i] / part;
+        for (int i = 0; i < s->nv; i++) c->a[i] = at->a[i] + c->missed_speed[i] / part;
         if ((verdict = sample(s, *at->t, &asked))) return verdict;
-        if ((verdict = filtered(s, part, 0.0, weights, at->q, at->v, c->a, at->lam, *at->t, c->missed, c->e, c->y))) return verdict;
+        if ((verdict = filtered(s, part, 0.0, weights, at->q, at->v, c->a, at->lam, *at->t, c->missed_speed, c->e, c->y))) return verdict;
         found = fmax(found, error_norm(s, c, out->q, c->e, h));
     }
     *error = found;
@@ -123,19 +124,19 @@ static int judged(System *s, const double *p, Control *c, const Block *past, con
     for (int i = 0; i < s->nv; i++) {
         double jump = out->A[i] - now->A[i];
         c->a[i] = out->a[i] + jump;
-        c->missed[i] = scale * jump;
+        c->missed_speed[i] = scale * jump;
     }
     const double span = p[STABILISED] != 0.0 ? 0.0 : 0.5 * p[H];
-    int verdict = filtered(s, scale, span, NULL, out->q, out->v, c->a, out->lam, *out->t, c->missed, c->e, c->y);
+    int verdict = filtered(s, scale, span, NULL, out->q, out->v, c->a, out->lam, *out->t, c->missed_speed, c->e, c->y);
     if (verdict) return verdict;
 
     reach(c, p[H], out);
     c->unknown = small(s, p, out->q, 0.0);
     double error = error_norm(s, c, out->q, c->e, 0.0);
     if (error <= 1.0 && c->laws && p[HISTORY] >= 1.0 && (verdict = with_speeds(s, p, c, past, out, &error))) return verdict;
+    c->trial = error;
     if (!(error <= 1.0)) return SIZE;
 
-    c->before = fmax(c->error, c->floor);
     c->error = error;
     c->largest = fmax(c->largest, error);
     c->peak = fmax(error, c->fading * c->peak);
@@ -146,21 +147,165 @@ static int judged(System *s, const double *p, Control *c, const Block *past, con
 }
 
 /* Give an accepted state the time that the parts of the stretch tell. */
-static void arrive(Control *c, Block *out)
+static void arrive(const Control *c, Block *out) { *out->t = c->end - c->stretch * ((double)(c->count - c->place - 1) / (double)c->count); }
+
+static const double SAME_SIZE = 1e-9;       /* share by which sizes that are equal may differ */
+static const double LOST_FOR = 10.0;        /* times its length that a step is held for too long in which masses are lost */
+static const double FARTHEST_MOTION = 10.0; /* times the least motion that closes rows: one that bends bodies less may be as large */
+enum { DEEPEST = 48 };                      /* levels of parts of the stretch; the finest are below roundoff */
+
+/* Whether masses are known to be lost in a step of h. */
+static int loses(const Control *c, const Block *now, double h) { return h >= c->lost * (1.0 - SAME_SIZE) && *now->t < c->until; }
+
+/* How many parts of the stretch steps of at most the size wanted are: the fewest of which one begins now, see Stretch.coarsest. */
+static long coarsest(const Control *c, const Block *now, double wanted)
 {
-    if (c->place == c->count) { /* the next one is as long */
+    long count = 1;
+    for (int level = 0; level < DEEPEST; level++, count *= level % 2 ? 2 : 3) {
+        const double h = c->stretch / (double)count;
+        const int begins = count >= c->count || c->place % (c->count / count) == 0;
+        if (begins && h <= wanted && !loses(c, now, h)) break;
+    }
+    return count;
+}
+
+/* Least motion that opens the rows as they are told, against a matrix for steps of h; its size (m) is infinite without one. */
+static double opening_motion(System *s, const double *p, const Block *now, double h, const double *open, double *x, double *y)
+{
+    const double share = h * (1.0 - p[AF]) / (1.0 - p[AM]);
+    if (prepare(s, now->q, share * p[GAMMA], share * h * p[BETA], now->lam, 0, *now->t)) return INFINITY;
+    return closing_change(s, open, x, y);
+}
+
+/* The same as if bodies were rigid: for steps of the whole stretch, or of the largest parts in which masses are not lost, longer than h. */
+static double stiff_motion(System *s, const double *p, Control *c, const Block *now, double h, double *x, double *y)
+{
+    long count = 1;
+    for (int level = 0; level < DEEPEST; level++, count *= level % 2 ? 2 : 3) {
+        const double span = c->stretch / (double)count;
+        if (span <= h) break;
+        if (loses(c, now, span)) continue;
+        const double size = opening_motion(s, p, now, span, c->open, x, y);
+        if (size < INFINITY) return size;
+        c->lost = span;
+        c->until = *now->t + LOST_FOR * span;
+    }
+    return INFINITY;
+}
+
+/* What rows (in lengths) miss beyond the roundoff of places: known_gaps() of schemes/newton.py. */
+static double known_gap(const System *s, int row, double gap, double near) { return s->row_units[row] * fabs(gap) > near ? gap : 0.0; }
+
+/* What velocities miss their constraints by, and A - a, as steps of h have it: see size_change.py. */
+static int change_openings(System *s, const double *p, Control *c, const Block *now, double h, double *jump)
+{
+    const double before = c->size, r = h / before, near = LEFT_OF_PLACES * (c->length + far_from_origin(s, now->q, c->length));
+    double asked = NAN, noisy = 0.0;
+    int verdict;
+    if ((verdict = sample(s, *now->t, &asked)) || (verdict = evaluate(s, now->q, now->v, now->a, now->lam, *now->t))) return verdict;
+
+    slips(s, 1);
+    for (int i = 0; i < s->rows; i++) c->open[i] = s->slip[i] - r * r * known_gap(s, i, before * s->slip[i], near) / before;
+    turn_velocity(s, jump);
+    slips(s, 0);
+    for (int i = 0; i < s->rows; i++) {
+        c->noise[i] = s->slip[i] - known_gap(s, i, before * before * s->slip[i], near) / (before * before);
+        noisy = fmax(noisy, fabs(c->noise[i]));
+    }
+
+    const double stiff = c->bends ? stiff_motion(s, p, c, now, h, c->e, c->y) : INFINITY;
+    const double soft = opening_motion(s, p, now, h, c->open, c->missed_speed, c->y);
+    if (!(soft < INFINITY)) return SINGULAR;
+    add(now->v, 1.0, stiff <= FARTHEST_MOTION * soft ? c->e : c->missed_speed, s->nv); /* S K may have no least motion */
+    if (noisy > 0.0) {
+        closing_change(s, c->noise, c->e, c->y);
+        add(jump, 1.0, c->e, s->nv);
+    }
+    return DONE;
+}
+
+/* The newest state as it was before a change of size, and the size. */
+static void take_back(const System *s, double *p, const Control *c, const Block *now)
+{
+    if (p[H] == c->size) return;
+    memcpy(now->v, c->v, s->nv * sizeof(double));
+    memcpy(now->A, c->A, s->nv * sizeof(double));
+    p[H] = c->size;
+}
+
+/* Prepare the newest state for steps of another size: r = h_new / h_old, A <- a + r (A - a), and v. */
+static int change_size(System *s, double *p, Control *c, const Block *now, double h)
+{
+    int verdict = DONE;
+    memcpy(c->v, now->v, s->nv * sizeof(double));
+    memcpy(c->A, now->A, s->nv * sizeof(double));
+    p[H] = h;
+    for (int i = 0; i < s->nv; i++) c->a[i] = now->A[i] - now->a[i];
+    if (s->rows && p[STABILISED] == 0.0) verdict = change_openings(s, p, c, now, h, c->a);
+    if (verdict) take_back(s, p, c, now);
+    else for (int i = 0; i < s->nv; i++) now->A[i] = now->a[i] + h / c->size * c->a[i];
+    return verdict;
+}
+
+/* Prepare the next step, as long as is proposed; SIZE where Python has to. */
+static int next_size(System *s, double *p, Control *c, const Block *now)
+{
+    const double wanted = fmin(c->proposed, farthest_turn((int)c->frames, c->turn, 1.0, now));
+    if (*now->t > c->last) return SIZE;
+    if (c->place == c->count) { /* the next stretch is as long */
+        if (c->more <= 0) return SIZE;
+        c->more--;
         c->place = 0;
         c->end += c->stretch;
     }
-    *out->t = c->end - c->stretch * ((double)(c->count - c->place - 1) / (double)c->count);
+
+    const long count = coarsest(c, now, wanted);
+    const double h = c->stretch / (double)count;
+    const int looked = !c->timed || (h <= c->looked && c->peak > c->calm) || (h == c->quiet_size && *now->t + h <= c->quiet);
+    if (!looked || (h != c->size && !c->chooses) || *now->t + h == *now->t) return SIZE;
+    c->place = count > c->count ? c->place * (count / c->count) : c->place / (c->count / count);
+    c->count = count;
+    return h == c->size || !change_size(s, p, c, now, h) ? DONE : SIZE;
 }
 
-/* Whether the step after an accepted one has this size too and needs no look at loads. */
-static int stays(const double *p, Control *c, const Block *now)
+/* Propose a size after an accepted step. */
+static void pass_step(const double *p, Control *c)
 {
-    double pressure = fmax(c->error, c->error * c->error / c->before), far = farthest_turn((int)c->frames, c->turn, 1.0, now);
+    const double h = p[H];
+    const Controlled last = {0.0, c->size_before, c->missed};
+    const Passing found = {.error = c->error, .refused = (int)c->refused};
+    Controlled made;
+    c->proposed = accepted_size(c->own, &last, &made, h, &found, 1.0);
+    c->size = c->size_before = h;
+    c->missed = made.missed;
+    c->refused = 0;
     c->place++;
-    int unseen = c->peak <= c->calm && *now->t + p[H] > c->quiet;
-    if (pressure > c->high || unseen || p[H] > far || *now->t >= c->until) return 0;
-    return !(c->ratio && c->place % c->ratio == 0 && fmax(pressure, c->peak) <= c->low && c->ratio * p[H] <= far);
+
+    /* errors of vibrations pass through zero: no sign that larger steps will do */
+    const double largest = h * growth_factor(fmax(c->peak, NO_ERROR), c->own->order, c->own->safety);
+    if (c->proposed > h) c->proposed = fmax(h, fmin(c->proposed, largest));
+    if (c->keeps * h <= c->proposed && c->proposed < h) c->proposed = h; /* the next smaller size is a half or a third */
+}
+
+/* Prepare a smaller step where its error has refused one; 0 where Python has to. */
+static int smaller_size(System *s, double *p, Control *c, const Block *now, int *verdict)
+{
+    const double h = p[H];
+    Passing found = {.error = c->trial, .refused = (int)c->refused};
+    c->tried = h;
+    take_back(s, p, c, now);
+    if (*verdict != SIZE || !c->chooses || s->remembers || !refused_size(c->own, now, h, c->own->order, &found)) return 0;
+    if (c->trial * c->rtol < 1.0) c->way = c->reached; /* it foretells the motion */
+    c->proposed = found.proposed;
+    c->refused++;
+    c->refusals++;
+    p[THETA] = 0.5;
+    return !(*verdict = next_size(s, p, c, now));
+}
+
+/* Prepare the first step of a march, whose size is chosen. */
+static int begin_size(System *s, double *p, Control *c, double *newest)
+{
+    const Block now = block_at(s, newest);
+    return p[H] == c->size || !change_size(s, p, c, &now, p[H]) ? DONE : SIZE;
 }

@@ -105,8 +105,8 @@ static int one_step(System *s, int scheme, double *p, double *room, double **rin
     if (made && rates && s->python(SAMPLE, RATES, *out.t)) return FAILED;
     if (made) verdict = judge_state(s, w, p, past, &out, recorded);
 
-    /* who judges every state tells why, from the same beginning */
-    if (verdict && (!made || w->closed)) memcpy(p, before, sizeof(before));
+    /* who judges every state tells why, from the same beginning; a step that its error refuses is made, and counts as work */
+    if (verdict && (!made || (w->closed && verdict != SIZE))) memcpy(p, before, sizeof(before));
     if (verdict && made && w->closed) w->closed->fastest = fastest;
     return verdict;
 }
@@ -124,11 +124,14 @@ static long march_on(System *s, int scheme, double *p, double *room, long steps,
 {
     const Watch watch = {tape, control, closed, contact};
     *verdict = DONE;
+    if (control && (*verdict = begin_size(s, p, control, ring[0]))) return 0;
     for (long made = 0; made < steps;) {
         int due = tape && tape->left == 1, recorded = due || (tape && tape->crossings);
         keep_pressures(s, 0);
         if ((*verdict = one_step(s, scheme, p, room, ring, &watch, recorded))) {
             keep_pressures(s, 1);
+            const Block now = block_at(s, ring[0]);
+            if (control && smaller_size(s, p, control, &now, verdict)) continue;
             return made;
         }
 
@@ -139,11 +142,9 @@ static long march_on(System *s, int scheme, double *p, double *room, long steps,
 
         const Block now = block_at(s, ring[0]);
         const int full = tape && tape->kept && keep_step(s, tape, ring);
-        if (control && !stays(p, control, &now)) {
-            *verdict = SIZE;
-            return made;
-        }
+        if (control) pass_step(p, control);
         if (full || (recorded && tape->crossed) || (closed && closed->speed > closed->most)) return made;
+        if (control && made < steps && (*verdict = next_size(s, p, control, &now))) return made;
     }
     return steps;
 }
