@@ -1,4 +1,4 @@
-"""Generalized-alpha with steps of its own choice: steps of one size march in compiled code, decisions are Python's."""
+"""Generalized-alpha with steps of its own choice: compiled code makes and judges them and changes their size, as Python does."""
 
 from __future__ import annotations
 
@@ -185,15 +185,25 @@ def test_same_steps_in_one_call_and_one_by_one(make: Any, way: str) -> None:
     assert [s.t for s in fast.snapshots] == pytest.approx([s.t for s in slow.snapshots])
 
 
-@pytest.mark.parametrize("make", [lambda: chain(6), spinning_top, floating], ids="chain top floating".split())
-def test_python_is_entered_where_sizes_change(make: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of hundreds of steps one in ten at most is made by itself, and calls hold many."""
+@pytest.mark.parametrize("make", [lambda: chain(6), reduced, carriage], ids="chain reduced loads".split())
+def test_sizes_change_in_compiled_code(make: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Calls are as many as records and looks ask for, some four times as many steps each, and as loads by functions of time: of a
+    hundred steps at most two enter Python, where each tenth changed its size in one.
+    """
     entries = Entries(monkeypatch)
-    run = solve(make(), 2.0 if make is not floating else 0.5, rtol=1e-5)
+    run = solve(make(), 2.0, rtol=1e-5)
     sizes = np.diff(run.times)
-    changes = np.count_nonzero(np.abs(np.diff(sizes)) > 1e-6 * sizes[1:]) + int(run.counters["rejections"])
+    changes = np.count_nonzero(np.abs(np.diff(sizes)) > 1e-6 * sizes[1:]) + run.counters["rejections"]
+    assert changes > 10 and run.counters["steps"] > 900
+    assert entries.counts["single"] == 1  # the first
+    assert entries.counts["calls"] < 0.02 * run.counters["steps"]
+
+
+def test_elastic_bodies_change_their_sizes_in_python(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Factors of their fields are Python's: of hundreds of steps one in ten at most is made by itself, and calls hold many."""
+    entries = Entries(monkeypatch)
+    run = solve(floating(), 0.5, rtol=1e-5)
     assert run.counters["steps"] > 200
-    assert entries.counts["single"] <= 2 * changes + 4
     assert entries.counts["single"] + entries.counts["calls"] < 0.2 * run.counters["steps"]
 
 
@@ -216,7 +226,7 @@ def test_a_compiled_step_out_of_balance_is_taken_back(every: int, monkeypatch: p
     check, refused = Balanced.check, []
 
     def refuse_once(self: Balanced, ev: Any, state: Any, h: float) -> None:
-        if not refused and state.t > 0.4:
+        if not refused and state.t > 0.1:
             refused.append(state.t)
             raise ConvergenceError("not in balance")
         check(self, ev, state, h)

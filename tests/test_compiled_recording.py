@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from test_compiled import chain as links
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import LawError
@@ -399,3 +400,15 @@ def test_a_law_without_a_value_within_a_step_is_named() -> None:
     output = fmbd.Output(times=[0.2025, 0.3025], progress=False)
     with pytest.raises(LawError, match="no value here"):
         fmbd.solve(scene, t_end=0.4, dt=0.01, scheme=fmbd.Moreau(), output=output)
+
+
+@pytest.mark.parametrize("scheme", [fmbd.Radau(3, rtol=1e-8), fmbd.GeneralizedAlpha(rtol=1e-6)], ids=lambda s: s.name)
+def test_snapshots_are_not_late_behind_longer_steps(scheme: Any) -> None:
+    """Each is the first state at its instant or behind: calls count steps of the size that they begin with."""
+    runs = [
+        fmbd.solve(links(4), t_end=2.0, scheme=scheme, output=fmbd.Output(progress=False, **kept))
+        for kept in ({"every": 1}, {"every": 3, "snapshots": 8})
+    ]
+    instants = np.linspace(0.0, 2.0, 8)
+    first = runs[0].times[np.searchsorted(runs[0].times, instants - 1e-9)]
+    assert [s.t for s in runs[1].snapshots] == pytest.approx(list(first))

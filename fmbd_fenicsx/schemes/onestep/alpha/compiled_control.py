@@ -1,7 +1,7 @@
 """Error control of compiled steps: what :mod:`.variable_alpha` lends to ``driver/marches/control.c`` for a march.
 
-C judges each step by the norm of :class:`~...error_norm.NormOfWays` and chooses the next, as long as no load or drive within that one
-has to be looked at; what belongs to a size changes with it. It stops where Python has to look, and where a step fails.
+C judges each step by the norm of :class:`~...error_norm.NormOfWays` and chooses the next, as long as no load or drive within that has
+to be looked at; what belongs to a size changes with it. It stops where Python has to look, and where a step fails.
 """
 
 from __future__ import annotations
@@ -63,8 +63,8 @@ class CompiledControl:
         return ctypes.addressof(self.c)
 
     def lend(self, stretch: Stretch, level: int, quiet: QuietTimes, *, until: float, last: float) -> None:
-        """Sizes and errors so far; the next step, one of the parts of a level of a stretch, as long as others behind it up to a time
-        (s); until when (s) steps may begin.
+        """Sizes and errors so far; the next step, one of the parts of a level of a stretch, which others as long follow up to a
+        time (s); until when (s) steps may begin.
         """
         norm, c, control = self.norm, self.c, self.control
         if self._origin is not norm.origin:

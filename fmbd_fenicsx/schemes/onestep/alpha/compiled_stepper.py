@@ -227,7 +227,7 @@ class CompiledAlphaStepper(CompiledSteps, AlphaStepper):
         return not self.fresh
 
     def controlled(self, h: float, steps: int, control: CompiledControl, observers: Observers) -> int:
-        """:meth:`march` under error control, beginning with a step of size h (s), up to where Python has to look or a step fails."""
+        """:meth:`march` under error control, from a step of size h (s) on up to where Python has to look or a step fails."""
         if self.fresh or not self._ready(h) or self._is_refused(h):
             return 0
         made = self._steps(h, steps, observers, control)

@@ -266,8 +266,8 @@ class VariableAlpha(TimeStepper):
         return remembered and len(self.norm.deforming) == len(self.system.parts)
 
     def march(self, h: float, steps: int, observers: Observers = UNOBSERVED) -> int:
-        """Up to so many accepted steps, each at most h (s), in one call of compiled code, as :meth:`advance` makes them; fewer where
-        Python has to look at what comes, or a step fails.
+        """Up to so many accepted steps, each at most h (s), in one call of compiled code, as :meth:`advance` makes them; fewer
+        where Python has to look at what comes, or a step fails.
         """
         if self._next_level(h) is None:
             return 0
