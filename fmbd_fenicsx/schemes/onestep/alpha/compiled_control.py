@@ -1,6 +1,6 @@
 """Error control of compiled steps: what :mod:`.variable_alpha` lends to ``driver/marches/control.c`` for a march.
 
-C judges each step by the norm of :class:`~...error_norm.NormOfWays` and chooses the next, as long as no load or drive within that has
+C judges each step by the norm of :class:`~...error_norm.NormOfWays` and chooses the next, while no load or drive within that has
 to be looked at; what belongs to a size changes with it. It stops where Python has to look, and where a step fails.
 """
 
