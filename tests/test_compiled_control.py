@@ -87,6 +87,15 @@ def carriage() -> fmbd.Scene:
     return unit_scenes.carriage(SI).scene
 
 
+def tank() -> fmbd.Scene:
+    """Water that sloshes, with coordinates of its own sizes, beside a chain."""
+    scene = chain(2)
+    water = lambda q, v, t: -np.array([90.0 * q[0] + 0.1 * v[0] ** 3, 4e3 * q[1] + 30.0 * q[0] * q[1]])
+    scene.add(fmbd.CoordinateBody("water", np.diag([2.0, 0.5]), water, (0.1, 2e-4), (0.0, 0.3)))
+    scene.sensor("level", fmbd.sensors.coordinates("water"))
+    return scene
+
+
 SCENES: dict[Callable[[], fmbd.Scene], float] = {  # and how long they run, s
     lambda: chain(4): 1.0,
     spinning_top: 1.0,
@@ -102,9 +111,10 @@ SCENES: dict[Callable[[], fmbd.Scene], float] = {  # and how long they run, s
     reduced: 0.3,
     floating: 0.2,
     absolute: 0.05,
+    tank: 1.0,
 }
 NAMES = (
-    "chain top redundant crank pendulum rod controlled sampled carriage wheel rolling reduced floating absolute".split()
+    "chain top redundant crank pendulum rod controlled sampled carriage wheel rolling reduced floating absolute coordinates".split()
 )
 WAYS: dict[str, dict[str, Any]] = {
     "all": {},

@@ -117,7 +117,7 @@ def test_places_between_steps_are_as_good_as_at_their_ends(scheme: Any, monkeypa
 
     assert error(20) < 1e-13
     for stepper in (AlphaStepper, CompiledAlphaStepper):
-        monkeypatch.setattr(stepper, "_all_shut", lambda self, states: states.q)
+        monkeypatch.setattr(stepper, "_all_shut", lambda self, states, weights: states.q)
     errors = error(20), error(40)
     assert np.log2(errors[0] / errors[1]) > 3.6 and errors[1] < 1e-5, errors
 

@@ -112,7 +112,7 @@ class AlphaDriver(March):
         self.calls.raise_error()
         return None if verdict else twin.forces(error[None])[0]
 
-    def shut(self, states: States, weights: Weights, allowed: float, most: int) -> Array | None:
+    def shut(self, states: States, weights: Sequence[Weights], allowed: float, most: int) -> Array | None:
         """``driver_shut`` of march.c: q of states with closed joints, (k, n_q), by at most so many iterations each; None where
         NumPy has to do.
         """
@@ -122,9 +122,9 @@ class AlphaDriver(March):
         to, first, second = map(address_of, (room, q, v))
 
         slopes, refused = self.slopes, False  # the next step begins with these
-        for i, t in enumerate(states.times):
+        for i, (t, own) in enumerate(zip(states.times, weights, strict=True)):
             at = first + i * q.strides[0], second + i * v.strides[0]
-            refused |= bool(shut(self.address, weights.cd, weights.ck, t, allowed, most, *at, to))
+            refused |= bool(shut(self.address, own.cd, own.ck, t, allowed, most, *at, to))
         if slopes is not None:
             self.slopes = slopes
         self.calls.raise_error()

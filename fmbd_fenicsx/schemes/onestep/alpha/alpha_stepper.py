@@ -41,8 +41,10 @@ from ...stepping import Observers, TimeStepper
 from .alpha_step import PATIENCE, AlphaStep, Rule, StepStart
 from .damped_start import LEAST, LEFT, LEFT_BEHIND, MOST, damped_acceleration, eased, on_constraints, stages
 from .jerk import jerk, spin_of_acceleration
+from .stretch import SAME
 
 if TYPE_CHECKING:
+    from ....linear.blocks.field_blocks import Weights
     from .generalized_alpha import GeneralizedAlpha
 
 (LEAP,) = constants("onestep/alpha.c", "LEAP")  # of the length of the model
@@ -344,7 +346,14 @@ class AlphaStepper(TimeStepper):
         before, v, A = self.begun
         ends = States.of([replace(before, v=v)]), States.of([self.state])
         found = self._cubics(*ends, np.array([[t]]), (A[None], self.A[None]))
-        return replace(found, q=self._all_shut(found)).state(0)
+        return replace(found, q=self._all_shut(found, self._weights_of(*ends))).state(0)
+
+    def _weights_of(self, before: States, after: States) -> list[Weights]:
+        """Those of the matrices of steps; of times that are the same but for roundoff those of the newest step."""
+        return [
+            self.scheme.rule(self.size if abs(h - self.size) <= SAME * self.size else h).weights
+            for h in np.ravel(after.t - before.t).tolist()
+        ]
 
     def _cubics(self, before: States, after: States, t: Array, A: tuple[Array, Array]) -> States:
         """The states at times t (k, 1) s within steps: q, v by cubics with the slopes of (1) to (3), a and lambda by straight
@@ -364,13 +373,13 @@ class AlphaStepper(TimeStepper):
         v = cubic((t - before.t) / h, h, (before.v, after.v), (A[0] - ahead, A[1] - ahead))
         return replace(state_within(before, after, t, q), v=v)
 
-    def _all_shut(self, states: States) -> Array:
-        """Configurations within steps, (k, n_q), joints closed by the least motion for the matrix of a step there; collective.
+    def _all_shut(self, states: States, weights: list[Weights]) -> Array:
+        """Configurations within steps, (k, n_q), joints closed by the least motion for the matrices of the steps; collective.
 
         What drives prescribe is not the cubic through the ends of a step: a crank was off by ten times the error of its ends.
         """
         system, found = self.system, []
-        for s in states.each() if system.n_lam else ():
+        for s, own in zip(states.each(), weights, strict=True) if system.n_lam else ():
             q = s.q
             for _ in range(CLOSINGS):
                 ev = system.at(s.t, q, s.v)
@@ -378,7 +387,7 @@ class AlphaStepper(TimeStepper):
                 gap[speed_rows(system)] = 0.0  # rows on velocities hold no places
                 if np.abs(system.row_units * gap).max() <= SHUT * system.length:
                     break
-                self.solver.prepare(ev, self.scheme.rule(self.size).weights)
+                self.solver.prepare(ev, own)
                 q = system.compose(q, self.solver.solve(np.zeros_like(s.v), -gap)[0])
             found.append(q)
         return np.array(found) if found else states.q

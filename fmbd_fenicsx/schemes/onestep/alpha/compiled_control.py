@@ -20,11 +20,10 @@ from ...control import FADING, LEAST_ERROR, PATIENCE, REFUSED, TURN, StepControl
 from ...error_norm import NormOfWays
 from .quiet_times import CALM, QuietTimes
 from .stretch import Stretch, parts
-from .variable_alpha import KEEPS
 
 
 class CompiledControl:
-    """``Control`` of tables.h for one norm and one controller, of a system whose local coordinates are all deformations."""
+    """``Control`` of tables.h for one norm and one controller."""
 
     def __init__(self, norm: NormOfWays, control: StepControl, *, laws: bool, bends: bool) -> None:
         """``laws``: whether forces follow laws; ``bends``: whether bodies do."""
@@ -41,18 +40,25 @@ class CompiledControl:
         # elastic fields have factors of few sizes, and of rows of a user's own roundoff is unknown
         self.resizes = not system.fields and bool(system.in_lengths.all())
 
+        # coordinates of bodies that are no deformations
+        self._own = np.logical_not(norm.deformations)
+        self._own[system.n_core :] = False
+        for block in norm.sizes.blocks:
+            self._own[block] = False
+        places = np.flatnonzero(self.twin.velocities(self._own.astype(float))).astype(np.int32)
+
         # tolerances and arrays that C works in
-        sizes = dict.fromkeys(("e", "a", "missed_speed", "v", "A"), s.n_v) | dict.fromkeys(
-            ("y", "open", "noise"), s.n_lam
-        )
+        like_v = "e a missed_speed v A sizes speeds reaching racing".split()
+        sizes = dict.fromkeys(like_v, s.n_v) | dict.fromkeys(("y", "open", "noise"), s.n_lam)
         work = self.store.zeros({**sizes, "fastest": 2, "faster": 2})
-        self._fastest = work["fastest"][0]
+        self._fastest, self._sizes, self._speeds = (work[name][0] for name in ("fastest", "sizes", "speeds"))
         self.c = structure("Control", dim)(
             rtol=norm.rtol, atol=norm.atol or 0.0, length=s.length, least=norm.least, turn=TURN, fading=FADING,
             frames=system.n_frames, core=system.n_core, laws=laws, bends=bends,
-            timed=bool(system.prescribes or system.pushes_in_time), keeps=KEEPS, calm=CALM,
+            timed=bool(system.prescribes or system.pushes_in_time), calm=CALM,
             own=ctypes.addressof(self.sizes),
             deforming=len(norm.deforming), deflection=self.store.structure(self.deflections),
+            coordinates=len(places), coordinate=self.store.array(places, np.int32)[1],
             **{name: address for name, (_, address) in work.items()},
         )  # fmt: skip
         self._origin: Array | None = None
@@ -74,6 +80,10 @@ class CompiledControl:
         for one, largest in zip(self.deflections, norm.deflections, strict=True):
             one.size = largest
         self._fastest[:] = [norm.v_size[block].max(initial=0.0) for block in norm.sizes.blocks]
+        if c.coordinates:
+            still = np.zeros(norm.system.n_v - norm.system.n_core)
+            for kept, largest in ((self._sizes, norm.q_size), (self._speeds, norm.v_size)):
+                kept[:] = self.twin.velocities(np.append(largest, still))
         c.way, c.largest = norm.way, 0.0
 
         # where in which stretch
@@ -94,6 +104,10 @@ class CompiledControl:
         norm.deflections = np.array([one.size for one in self.deflections])
         for block, speed in zip(norm.sizes.blocks, self._fastest, strict=True):
             norm.v_size[block] = speed
+        if c.coordinates:
+            own = self._own[: norm.system.n_core]
+            for kept, largest in ((self._sizes, norm.q_size), (self._speeds, norm.v_size)):
+                largest[own] = self.twin.forces(kept)[: len(own)][own]
         norm.way = c.way
         stretch.done, stretch.end = Fraction(c.place, c.count), c.end
         if c.lost < np.inf:

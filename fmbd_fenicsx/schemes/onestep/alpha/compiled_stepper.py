@@ -22,6 +22,7 @@ from .alpha_step import FAR, PATIENCE, AlphaStep, Rule, StepStart
 from .alpha_stepper import CLOSINGS, SHUT, AlphaStepper
 
 if TYPE_CHECKING:
+    from ....linear.blocks.field_blocks import Weights
     from ....system.compiled.kept import KeptSteps
     from ....system.compiled.tape import Openness, Tape
     from .compiled_control import CompiledControl
@@ -134,15 +135,14 @@ class CompiledAlphaStepper(CompiledSteps, AlphaStepper):
     def within(self, steps: KeptSteps) -> States:
         """As :meth:`TimeStepper.within`."""
         found = self._cubics(steps.before, steps.after, steps.t, steps.A)
-        return replace(found, q=self._all_shut(found))
+        return replace(found, q=self._all_shut(found, self._weights_of(steps.before, steps.after)))
 
-    def _all_shut(self, states: States) -> Array:
+    def _all_shut(self, states: States, weights: list[Weights]) -> Array:
         """As :meth:`Stepper._all_shut`, in compiled code where that made the last step."""
         if not self._driven or not self.system.n_lam:
-            return super()._all_shut(states)
-        weights = self.scheme.rule(self.size).weights
+            return super()._all_shut(states, weights)
         found = self.driver.shut(states, weights, SHUT * self.system.length, CLOSINGS)
-        return super()._all_shut(states) if found is None else found
+        return super()._all_shut(states, weights) if found is None else found
 
     def __copy__(self) -> CompiledAlphaStepper:
         """What may go on from here when this one has made steps: it loads the driver anew."""

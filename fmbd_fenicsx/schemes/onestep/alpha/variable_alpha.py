@@ -41,6 +41,7 @@ import numpy as np
 from ....errors import ConvergenceError, LinearSolveError
 from ....linear.blocks.field_blocks import Weights
 from ....linear.condensation import StepSolver
+from ....system.compiled.declarations import constants
 from ....system.element_memory import whole_steps
 from ....system.evaluation import Evaluation
 from ....system.layout import State
@@ -65,8 +66,7 @@ if TYPE_CHECKING:
     from .generalized_alpha import GeneralizedAlpha
 
 KEPT = 9  # sets of elastic factors: those of eight sizes, and that of the whole stretch
-# share of the present size that a proposal must have for this size to stay: an error of 0.9 is expected then
-KEEPS = 0.93
+(KEEPS,) = constants("marches/control.c", "KEEPS")
 
 
 class VariableAlpha(TimeStepper):
@@ -261,9 +261,8 @@ class VariableAlpha(TimeStepper):
 
     @property
     def _marches(self) -> bool:
-        """Whether compiled code knows memories and all local coordinates: they are deformations."""
-        remembered = self.inner.keeps_memories or not self.system.keepers
-        return remembered and len(self.norm.deforming) == len(self.system.parts)
+        """Whether compiled code knows all memories."""
+        return bool(self.inner.keeps_memories) or not self.system.keepers
 
     def march(self, h: float, steps: int, observers: Observers = UNOBSERVED) -> int:
         """Up to so many accepted steps, each at most h (s), in one call of compiled code, as :meth:`advance` makes them; fewer

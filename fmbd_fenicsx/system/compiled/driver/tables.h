@@ -481,14 +481,15 @@ typedef struct {
     const double *origin;              /* the configuration that ways are measured from */
     long frames, core;                 /* that move, and entries like v of these and of what is no field */
     long laws;                         /* whether forces follow laws, whose stiffness may not last */
-    long deforming;
+    long deforming, coordinates;       /* bodies that deform; other coordinates of bodies, each of a size of its own */
     Deflection *deflection;
+    int *coordinate;                   /* where these stand in v */
     struct OwnSteps *own;              /* proposes sizes, see own_steps.c */
     long chooses, timed, bends;        /* whether C may change sizes; whether loads want looks; whether bodies bend */
     long place, count, more;           /* of the stretch: in steps of this size, and of how many; how many as long may follow */
     double stretch, end, last;         /* its length and its end; until when steps may begin, s */
     double lost, until;                /* size of steps in which masses are lost beside stiffness, and until when, s */
-    double calm, turn, keeps;          /* error below which nothing happens; rad; share of a size that a proposal to keep it must have */
+    double calm, turn;                 /* error below which nothing happens; rad */
     double quiet, quiet_size, looked;  /* up to when loads have been looked at, in steps of which size; the largest such size, s */
     double proposed, size;             /* for the next step, and of the newest, s */
     double size_before, missed;        /* of the step that the controller remembers, 0: there is none, and its error */
@@ -498,6 +499,8 @@ typedef struct {
     double *fastest, *faster;          /* speed and spin of frames so far, m/s and rad/s, and with the newest state, 2 each */
     double peak, fading;               /* the largest of late, which fades by this factor from step to step */
     double *e, *y, *a, *missed_speed;  /* work: like v, the rows, like v twice */
+    double *sizes, *speeds;            /* of coordinates, the largest so far, like v */
+    double *reaching, *racing;         /* work: the same with the newest state */
     double *open, *noise, *v, *A;      /* work: the rows twice; what the newest state had before a change of size, like v */
 } Control;
 

@@ -21,7 +21,7 @@ static double turned(const double *q0, const double *q) { return fabs(q[2] - q0[
 #endif
 
 /* Sizes with those of a state after a step of h, which may still be refused. */
-static void reach(Control *c, double h, const Block *now)
+static void reach(const System *s, Control *c, double h, const Block *now)
 {
     const double *q = now->q;
     memcpy(c->faster, c->fastest, 2 * sizeof(double));
@@ -35,6 +35,13 @@ static void reach(Control *c, double h, const Block *now)
         const double *from = c->origin + POSE * b, *to = q + POSE * b;
         for (int i = 0; i < D; i++) c->reached = fmax(c->reached, fabs(to[i] - from[i]) / c->length);
         c->reached = fmax(c->reached, turned(from, to));
+    }
+
+    if (c->coordinates) position_sizes(s, c->length, q, c->reaching);
+    for (long k = 0; k < c->coordinates; k++) {
+        const int i = c->coordinate[k];
+        c->reaching[i] = fmax(c->sizes[i], c->reaching[i]);
+        c->racing[i] = fmax(c->speeds[i], fmax(fabs(now->v[i]), h * fabs(now->a[i])));
     }
 
     for (Deflection *x = c->deflection; x < c->deflection + c->deforming; x++) {
@@ -74,6 +81,11 @@ static double error_norm(const System *s, const Control *c, const double *q, con
         for (int i = 0; i < TWIST; i++) own[i] = e[TWIST * b + i] - bent[i];
         core += squares(own, D, allowed_error(c, share * c->length, c->unknown, c->faster[0], h));
         core += squares(own + D, ROT, allowed_error(c, share, c->unknown / c->length, c->faster[1], h));
+    }
+
+    for (long k = 0; k < c->coordinates; k++) {
+        const int i = c->coordinate[k];
+        core += squares(e + i, 1, allowed_error(c, c->reaching[i], 0.0, c->racing[i], h));
     }
 
     for (const Deflection *x = c->deflection; x < c->deflection + c->deforming; x++) {
@@ -130,7 +142,7 @@ static int judged(System *s, const double *p, Control *c, const Block *past, con
     int verdict = filtered(s, scale, span, NULL, out->q, out->v, c->a, out->lam, *out->t, c->missed_speed, c->e, c->y);
     if (verdict) return verdict;
 
-    reach(c, p[H], out);
+    reach(s, c, p[H], out);
     c->unknown = small(s, p, out->q, 0.0);
     double error = error_norm(s, c, out->q, c->e, 0.0);
     if (error <= 1.0 && c->laws && p[HISTORY] >= 1.0 && (verdict = with_speeds(s, p, c, past, out, &error))) return verdict;
@@ -142,6 +154,11 @@ static int judged(System *s, const double *p, Control *c, const Block *past, con
     c->peak = fmax(error, c->fading * c->peak);
     c->way = c->reached;
     memcpy(c->fastest, c->faster, 2 * sizeof(double));
+    for (long k = 0; k < c->coordinates; k++) {
+        const int i = c->coordinate[k];
+        c->sizes[i] = c->reaching[i];
+        c->speeds[i] = c->racing[i];
+    }
     for (Deflection *x = c->deflection; x < c->deflection + c->deforming; x++) x->size = x->reached;
     return DONE;
 }
@@ -152,6 +169,7 @@ static void arrive(const Control *c, Block *out) { *out->t = c->end - c->stretch
 static const double SAME_SIZE = 1e-9;       /* share by which sizes that are equal may differ */
 static const double LOST_FOR = 10.0;        /* times its length that a step is held for too long in which masses are lost */
 static const double FARTHEST_MOTION = 10.0; /* times the least motion that closes rows: one that bends bodies less may be as large */
+static const double KEEPS = 0.93;           /* share of a size that a proposal must have to keep it: an error of 0.9 is expected then */
 enum { DEEPEST = 48 };                      /* levels of parts of the stretch; the finest are below roundoff */
 
 /* Whether masses are known to be lost in a step of h. */
@@ -284,7 +302,7 @@ static void pass_step(const double *p, Control *c)
     /* errors of vibrations pass through zero: no sign that larger steps will do */
     const double largest = h * growth_factor(fmax(c->peak, NO_ERROR), c->own->order, c->own->safety);
     if (c->proposed > h) c->proposed = fmax(h, fmin(c->proposed, largest));
-    if (c->keeps * h <= c->proposed && c->proposed < h) c->proposed = h; /* the next smaller size is a half or a third */
+    if (KEEPS * h <= c->proposed && c->proposed < h) c->proposed = h; /* the next smaller size is a half or a third */
 }
 
 /* Prepare a smaller step where its error has refused one; 0 where Python has to. */
