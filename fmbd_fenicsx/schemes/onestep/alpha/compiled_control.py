@@ -82,8 +82,8 @@ class CompiledControl:
         self._fastest[:] = [norm.v_size[block].max(initial=0.0) for block in norm.sizes.blocks]
         if c.coordinates:
             still = np.zeros(norm.system.n_v - norm.system.n_core)
-            for kept, largest in ((self._sizes, norm.q_size), (self._speeds, norm.v_size)):
-                kept[:] = self.twin.velocities(np.append(largest, still))
+            for kept, values in ((self._sizes, norm.q_size), (self._speeds, norm.v_size)):
+                kept[:] = self.twin.velocities(np.append(values, still))
         c.way, c.largest = norm.way, 0.0
 
         # where in which stretch
