@@ -113,9 +113,7 @@ SCENES: dict[Callable[[], fmbd.Scene], float] = {  # and how long they run, s
     absolute: 0.05,
     tank: 1.0,
 }
-NAMES = (
-    "chain top redundant crank pendulum rod controlled sampled carriage wheel rolling reduced floating absolute coordinates".split()
-)
+NAMES = "chain top redundant crank pendulum rod controlled sampled carriage wheel rolling reduced floating absolute water".split()
 WAYS: dict[str, dict[str, Any]] = {
     "all": {},
     "stabilised": {"form": fmbd.GGL()},
