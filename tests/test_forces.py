@@ -12,6 +12,7 @@ from profiled import calls_of
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import CallbackError, InputError
+from fmbd_fenicsx.mechanics.forces.roads import Roads
 from fmbd_fenicsx.system.tangents.force_tangent import force_tangent
 
 
@@ -193,7 +194,9 @@ def test_tyre_damps_the_rate_of_its_compression(dim: int) -> None:
 
 
 def test_a_road_is_asked_twice_for_a_force_and_may_take_numbers_only() -> None:
-    """A call gives height and rate, and one more sees whether parts were dropped; another road gives the same by differences."""
+    """A call gives height and rate, and one more sees whether parts were dropped; another road gives the same by differences, of
+    five heights.
+    """
     asked: list[Any] = []
 
     def road(x: Any, t: Any, sine: Any = np.sin) -> Any:
@@ -211,7 +214,7 @@ def test_a_road_is_asked_twice_for_a_force_and_may_take_numbers_only() -> None:
         run = fmbd.solve(scene, t_end=0.2, dt=1e-3)
         found.append((run["wheel"], len(asked) / run.counters["newton_iterations"]))
     assert np.abs(found[1][0] - found[0][0]).max() < 1e-9
-    assert found[0][1] < 3.5 < found[1][1]
+    assert found[0][1] < 3.5 < found[1][1] < 8.0
 
 
 def rolled(road: Any, scheme: Any = None, height: float = 0.3, damping: float = 50.0, *, t_end: float = 0.1) -> Any:
@@ -298,3 +301,18 @@ def test_a_spring_without_length_names_what_takes_its_place() -> None:
     scene.add(body, fmbd.Spring("s", fmbd.ground, body, stiffness=1.0))
     with pytest.raises(InputError, match='Spring "s": its two points coincide.*force_element'):
         fmbd.solve(scene, t_end=0.1, dt=0.1)
+
+
+def test_a_road_of_a_part_of_the_time_is_known_on_one_side() -> None:
+    """Where it begins and ends, and where it jumps: rates are those of the side that is known, or ahead."""
+
+    def road(x: Any, t: Any) -> float:
+        if not 0.0 <= float(t) <= 0.1:
+            raise ValueError("no such time")
+        return 0.02 * math.sin(40.0 * float(t)) + 0.1 * (float(t) >= 0.05)
+
+    heights = Roads([fmbd.Tyre("tyre", fmbd.RigidBody("wheel", 1.0, 0.1), road=road, radius=0.3, stiffness=1.0)])
+    for t in (0.0, 0.02, 0.05, 0.1):
+        assert heights.moving(np.zeros((1, 2)), np.zeros((1, 2)), t)[0, 1] == pytest.approx(
+            0.8 * math.cos(40 * t), abs=1e-6
+        )

@@ -10,22 +10,22 @@ imaginary parts without a word: (1) counts where it agrees with (z(s) - z(0)) / 
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Callable, Hashable, Sequence
-from functools import partial
 from typing import Any, cast
 
 import numpy as np
 
-from ...errors import AGREEMENTS, named
+from ...errors import AGREEMENTS, FmbdError, named
 from ...rotations import Array
-from ..kinds.time_derivatives import along, rates
+from ..kinds.time_derivatives import along
 from .user_laws import checked, plain
 
 ROAD = "road(x, t), which is asked for one height at x, all coordinates of the wheel's centre,"
 TINY = 1e-30  # s, of complex steps
 IMAGINARY = complex(0.0, TINY)
-STEP, SHORT = 1e-5, 1e-7  # of differences on both sides and of (z(s) - z(0)) / s: shares of the radius
+STEP, SHORT = 1e-5, 1e-7  # of differences and of (z(s) - z(0)) / s: shares of the radius
 WRONG, DROPPED = 1e-6, 1e-5  # of radius and speed: what heights and rates may differ by, at first and later
 KEPT = 4  # answers
 
@@ -131,11 +131,29 @@ class Roads:
         return along(self.tyres[i].road, x, v, t)
 
     def _by_differences(self, i: int, x: Array, v: Array, t: float) -> Moving:
-        height = self.height(i, x, t)
-        rate = rates(partial(self.roads[i], x), t)[0]
-        speed = float(np.abs(v).max())
-        if speed:
-            step = STEP * self.radius[i] * v / speed
-            ahead, behind = self.height(i, x + step, t), self.height(i, x - step, t)
-            rate += (ahead - behind) * speed / (2 * STEP * self.radius[i])
-        return height, rate
+        """By values at s and 2 s along the way on both sides; by one of them where the road is known there alone, and by that
+        ahead where they contradict each other, as about kinks.
+        """
+        radius, here = float(self.radius[i]), self.height(i, x, t)
+        speed = max(radius, float(np.abs(v).max()))
+        s = 2.0 ** math.floor(math.log2(STEP * radius / speed))  # times have no roundoff
+
+        def changes(way: float) -> tuple[float, float]:
+            near, far = (self.height(i, x + k * way * v, t + k * way) for k in (1, 2))
+            return near - here, far - here
+
+        try:
+            back = changes(-s) if t >= 2.0 * s else None
+        except FmbdError:
+            back = None
+        try:
+            ahead = changes(s)
+        except FmbdError:
+            if back is None:
+                raise
+            return here, (back[1] - 4.0 * back[0]) / (2.0 * s)
+
+        rate = (4.0 * ahead[0] - ahead[1]) / (2.0 * s)
+        if back is None or abs(rate - (back[1] - 4.0 * back[0]) / (2.0 * s)) > DROPPED * max(abs(rate), speed):
+            return here, rate
+        return here, (8.0 * (ahead[0] - back[0]) - ahead[1] + back[1]) / (12.0 * s)
