@@ -106,13 +106,6 @@ static void begin_points(const System *s, const Stages *o)
     for (int j = 0; j < o->points; j++) memcpy(e->pressure + (long)j * e->pressures, e->began, e->pressures * sizeof(double));
 }
 
-/* New tangents of fields are asked for, and matrices with these. */
-static void renew_fields(FieldStages *e)
-{
-    e->outworn = 1;
-    e->lent = 0.0;
-}
-
 /* Steps of more increments than new tangents would ask for have these in the next one. Increments that are corrected for factors
    of another frequency fall off as these do: they are compared with those of such steps. */
 static void wear_tangents(const Stages *o, int increments)
@@ -122,7 +115,7 @@ static void wear_tangents(const Stages *o, int increments)
     if (e->renewed || other || increments < e->fewest) e->fewest = increments;
     e->relaxed = o->relax;
     e->renewed = e->failed = 0;
-    if (e->renewable && increments > MANY && increments > e->fewest + MORE) renew_fields(e);
+    if (e->renewable && increments > MANY && increments > e->fewest + MORE) e->outworn = 1;
 }
 
 /* Whether a step that has failed is tried once more, with new tangents of the fields: ask() of field_renewals.py. */
@@ -134,7 +127,7 @@ static int tried_renewed(const Stages *o, int verdict)
     const int too_long = e->vain && !e->failed;
     e->failed |= !e->renewed;
     if (e->renewed || too_long) return 0;
-    renew_fields(e);
+    e->outworn = 1;
     return 1;
 }
 

@@ -1,11 +1,11 @@
 /* What whole steps of Radau and BDF ask for where there are elastic fields (field_stages.c): derivatives and matrices at a motion within
    the step, and stages whose velocities go with their places. Factors of fields are those of a size of step, and stay. */
 
-/* Ask Python for the matrices of what ``key`` stands for; LOOK where it has none. */
+/* Ask Python for the matrices of what ``key`` stands for, with new tangents of fields where these are due; LOOK where it has none. */
 static int ask_matrices(System *s, const Stages *o, double key)
 {
     FieldStages *e = o->fields;
-    if (e->lent == key) return DONE;
+    if (e->lent == key && !e->outworn) return DONE;
     e->lent = 0.0;
     s->calls++;
     int told = s->python(FREQUENCIES, 0, key);
