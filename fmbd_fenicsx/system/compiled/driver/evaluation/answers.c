@@ -66,23 +66,6 @@ void like_v(const System *s, const double *u, double *x)
     }
 }
 
-/* The sums of M a + h + G^T lambda; ``lam`` may be NULL. */
-EXPORT int driver_balances(System *s, long count, const double *t, const double *q, const double *v, const double *a,
-                           const double *lam, double *out)
-{
-    double *none = s->work, last = NAN;
-    int verdict = foretell_points(s, count, t, 1, q, NULL, v, a, NULL);
-    if (verdict) return verdict;
-    if (!lam) memset(none, 0, s->rows * sizeof(double));
-
-    for (long i = 0; i < count; i++, q += s->nq, v += s->nv, a += s->nv, out += s->nv) {
-        if ((verdict = sample(s, t[i], &last))) return verdict;
-        if ((verdict = evaluate(s, q, v, a, lam ? lam + i * s->rows : none, t[i]))) return verdict;
-        like_v(s, s->residual, out);
-    }
-    return DONE;
-}
-
 /* Kinetic, elastic, of the full weight and of springs. */
 EXPORT int driver_energies(System *s, long count, const double *t, const double *q, const double *v, double *out)
 {
@@ -138,26 +121,42 @@ void derivatives_in_time(System *s, double *partial, double *second)
     }
 }
 
-static void told_of_rows(System *s, double *gap, double *slip, double *partial, double *second)
+/* Of every configuration the ``sums`` of M a + h + G^T lambda, and of every constraint g, its rate G v + g_t, g_t, and g'' less G a;
+   sums or gap may be NULL, where nobody asks for them, and lam. */
+EXPORT int driver_batch(System *s, long count, const double *t, const double *q, const double *v, const double *a, const double *lam,
+                        double *sums, double *gap, double *slip, double *partial, double *second)
 {
-    derivatives_in_time(s, partial, second);
-    drift(s);
-    memcpy(gap, s->gap, s->rows * sizeof(double));
-    memcpy(slip, s->slip, s->rows * sizeof(double));
+    double *none = s->work, last = NAN;
+    int verdict = sums ? foretell_points(s, count, t, 1, q, NULL, v, a, NULL) : DONE;
+    if (verdict) return verdict;
+    if (sums && !lam) memset(none, 0, s->rows * sizeof(double));
+
+    for (long i = 0; i < count; i++, q += s->nq, v += s->nv) {
+        const long at = i * s->rows, on = i * s->nv;
+        if ((verdict = sample(s, t[i], &last))) return verdict;
+        verdict = sums ? evaluate(s, q, v, a + on, lam ? lam + at : none, t[i]) : place(s, q, v);
+        if (verdict) return verdict;
+
+        if (sums) like_v(s, s->residual, sums + on);
+        if (!gap) continue;
+        derivatives_in_time(s, partial + at, second + at);
+        drift(s);
+        memcpy(gap + at, s->gap, s->rows * sizeof(double));
+        memcpy(slip + at, s->slip, s->rows * sizeof(double));
+    }
+    return DONE;
 }
 
-/* Of every constraint: g, its rate G v + g_t, g_t, and g'' less G a. */
+EXPORT int driver_balances(System *s, long count, const double *t, const double *q, const double *v, const double *a,
+                           const double *lam, double *sums)
+{
+    return driver_batch(s, count, t, q, v, a, lam, sums, NULL, NULL, NULL, NULL);
+}
+
 EXPORT int driver_constraints(System *s, long count, const double *t, const double *q, const double *v, double *gap, double *slip,
                               double *partial, double *second)
 {
-    double last = NAN;
-    int verdict;
-    for (long i = 0; i < count; i++, q += s->nq, v += s->nv) {
-        long at = i * s->rows;
-        if ((verdict = sample(s, t[i], &last)) || (verdict = place(s, q, v))) return verdict;
-        told_of_rows(s, gap + at, slip + at, partial + at, second + at);
-    }
-    return DONE;
+    return driver_batch(s, count, t, q, v, NULL, NULL, NULL, gap, slip, partial, second);
 }
 
 /* The work of force elements in a state along an increment xi, like v. */
@@ -195,25 +194,6 @@ EXPORT int driver_look(System *s, double t, double length, const double *units, 
     found[5] = largest_of(s->units, a, s->nv);
     found[6] = largest_of(s->multiplier_units, lam, s->rows);
     if (energy) energies(s, t, q, v, s->rest_gravity, energy);
-    return DONE;
-}
-
-/* The balance and the constraints of every configuration, as the two functions above. */
-EXPORT int driver_batch(System *s, long count, const double *t, const double *q, const double *v, const double *a, const double *lam,
-                        double *sums, double *gap, double *slip, double *partial, double *second)
-{
-    double *none = s->work, last = NAN;
-    int verdict = foretell_points(s, count, t, 1, q, NULL, v, a, NULL);
-    if (verdict) return verdict;
-    if (!lam) memset(none, 0, s->rows * sizeof(double));
-
-    for (long i = 0; i < count; i++, q += s->nq, v += s->nv, a += s->nv, sums += s->nv) {
-        long at = i * s->rows;
-        if ((verdict = sample(s, t[i], &last))) return verdict;
-        if ((verdict = evaluate(s, q, v, a, lam ? lam + at : none, t[i]))) return verdict;
-        like_v(s, s->residual, sums);
-        told_of_rows(s, gap + at, slip + at, partial + at, second + at);
-    }
     return DONE;
 }
 
