@@ -187,10 +187,10 @@ class FieldBlocks:
         earlier = [blocks[i] for blocks in self._sets.values() if blocks[i].matrix == matrix]
         factor = earlier[-1].factor if earlier else self._factor(part, matrix)
         if not earlier and part.heavier is not None:
-            from .low_rank import HeavierFactor
+            from .low_rank import LowRankFactor
 
             V, C = part.heavier
-            factor = HeavierFactor(factor, V, matrix.cm * C, part.field.total)
+            factor = LowRankFactor(factor, V, matrix.cm * C, part.field.total)
         if not earlier and matrix.ck != 0:
             self.factorisations += factor.fresh
             self.methods[part.name] = factor.how

@@ -1,20 +1,20 @@
 """Factors with a correction of low rank: slack droppers of wires, and the inertia of second-order displacements.
 
-Wires: the factor with all droppers taut serves, corrected by a small system for the slack ones. With B_S the rows of the slack
-droppers and D = ck k their stiffness (Woodbury),
+With columns V (n, k) and a small matrix C (k, k) (Woodbury),
 
-    (E - B_S^T D B_S)^-1 = E^-1 + Y_S (D^-1 - B_S Y_S)^-1 B_S E^-1,       Y = E^-1 B^T                         (1)
+    (E + V C V^T)^-1 = E^-1 - Y (1 + C V^T Y)^-1 C V^T E^-1,       Y = E^-1 V                                  (1)
 
-Y is computed once for a ratio cm : ck; a change of the slack set costs a small dense factorisation.
+Wires: the factor with all droppers taut serves, V^T are the rows of the slack ones, -C their stiffness times ck. Y is computed
+once for a ratio cm : ck and all droppers; a change of the slack set costs a small dense factorisation.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import scipy.linalg as sl
 
 from ...fem.factors.factor import InC
 from ...rotations import Array
@@ -45,75 +45,18 @@ def _taut(field: Any, cm: float, ck: float) -> TautFactor:
     return made[cm, ck]
 
 
-class SlackFactor(FieldFactor):
-    """(cm M + ck K) of wires with the droppers ``slack`` (numbers) left out."""
-
-    def __init__(self, field: Any, cm: float, ck: float, slack: np.ndarray) -> None:
-        self.fresh = (cm, ck) not in field.factors
-        self.taut = _taut(field, cm, ck)
-        self.taut.users += 1
-        self.base, Y = self.taut.factor, self.taut.Y
-        self.how = self.base.how
-        self.judge = Judge(f'the wires of body "{field.name}"')
-        self.field, self.weights = field, (cm, ck)
-        self.slack, self.B, self.Y = slack, field.B[slack], Y[:, slack]
-
-        self.push = ck * field.stiff[slack]
-        self.small = None
-
-        # D^-1 - B_S Y_S of (1)
-        if slack.size:
-            self.small = sl.lu_factor(np.diag(1.0 / self.push) - self.B @ self.Y)
-
-    def solve(self, b: Array) -> Array:
-        """x = (1) b, judged by its true residual."""
-        z = self.base.solve(b)
-        if self.small is not None:
-            z = z + self.Y @ sl.lu_solve(self.small, self.B @ z)
-        return self._judged(z, b)
-
-    def in_c(self) -> InC | None:
-        """As that of the taut wires, where none is slack."""
-        return None if self.slack.size else self.base.in_c()
-
-    def solve_columns(self, H: Array) -> Array:
-        """(1) for columns (n, k)."""
-        Z = self.base.solve_columns(H)
-        if self.small is not None and H.shape[1]:
-            Z = Z + self.Y @ sl.lu_solve(self.small, self.B @ Z)
-        for z, h in zip(Z.T, H.T, strict=True):
-            self._judged(np.asarray(z), np.asarray(h))
-        return np.asarray(Z)
-
-    def _judged(self, x: Array, b: Array) -> Array:
-        """x, when it solves (E - B_S^T D B_S) x = b; the judge of E has seen the solve without slack droppers."""
-        if self.small is None:
-            self.judge.solves += 1
-            self.judge.worst = max(self.judge.worst, self.base.judge.worst)
-            return x
-        f, (cm, ck) = self.field, self.weights
-        r = cm * f.mass(x[:, None])[:, 0] + ck * f.tangent(x) - self.B.T @ (self.push * (self.B @ x)) - b
-        norm = np.linalg.norm
-        self.judge.check(float(norm(r)), float(norm(b)), grown=self.base.factor.norm * float(norm(x)))
-        return x
-
-    def destroy(self) -> None:
-        """Use the taut factor no more; it stays with the field, whose ``free_factors`` frees it."""
-        self.taut.users -= 1
-
-
-class HeavierFactor(FieldFactor):
-    """E + V C V^T by a factor of E, with columns V (n, k) of this rank's entries and a small C (k, k): as (1),
-
-        (E + V C V^T)^-1 = E^-1 - Y (1 + C V^T Y)^-1 C V^T E^-1,       Y = E^-1 V                           (2)
+class LowRankFactor(FieldFactor):
+    """E + V C V^T by (1) and a factor of E; V of this rank's entries, ``total`` sums over ranks. ``Y``: where it is known.
 
     E^-1 and Y are judged by the factor of E; what is left of a residual is that of the small matrix.
     """
 
-    def __init__(self, base: FieldFactor, V: Array, C: Array, total: Any) -> None:
+    def __init__(
+        self, base: FieldFactor, V: Any, C: Array, total: Callable[[Array], Array], Y: Array | None = None
+    ) -> None:
         self.base, self.V, self.C, self.total = base, V, C, total
         self.judge, self.fresh, self.hidden = base.judge, base.fresh, base.hidden
-        self.Y = base.solve_columns(V)
+        self.Y = base.solve_columns(V) if Y is None else Y
         self.small = np.linalg.solve(np.eye(len(C)) + C @ total(V.T @ self.Y), C)
 
     @property
@@ -131,11 +74,11 @@ class HeavierFactor(FieldFactor):
         return np.asarray(self.base.product(u) + self.V @ (self.C @ self.total(self.V.T @ u)))
 
     def solve(self, b: Array) -> Array:
-        """x = (2) b."""
+        """x = (1) b."""
         return self._corrected(self.base.solve(b))
 
     def solve_columns(self, B: Array) -> Array:
-        """(2) for columns (n, k)."""
+        """(1) for columns (n, k)."""
         return self._corrected(self.base.solve_columns(B))
 
     def _corrected(self, z: Array) -> Array:
@@ -144,3 +87,48 @@ class HeavierFactor(FieldFactor):
     def destroy(self) -> None:
         """Free the factor of E."""
         self.base.destroy()
+
+
+class SlackFactor(LowRankFactor):
+    """(cm M + ck K) of wires with the droppers ``slack`` (numbers) left out."""
+
+    def __init__(self, field: Any, cm: float, ck: float, slack: np.ndarray) -> None:
+        fresh = (cm, ck) not in field.factors
+        self.taut = _taut(field, cm, ck)
+        self.taut.users += 1
+        push = np.diag(-ck * field.stiff[slack])
+        super().__init__(self.taut.factor, field.B[slack].T, push, np.asarray, self.taut.Y[:, slack])
+        self.fresh, self.how = fresh, self.base.how
+        self.judge = Judge(f'the wires of body "{field.name}"')
+        self.field, self.weights, self.slack = field, (cm, ck), slack
+
+    def in_c(self) -> InC | None:
+        """As that of the taut wires, where none is slack."""
+        return None if self.slack.size else self.base.in_c()
+
+    def solve(self, b: Array) -> Array:
+        """x = (1) b, judged by its true residual."""
+        return self._judged(super().solve(b), b)
+
+    def solve_columns(self, B: Array) -> Array:
+        """(1) for columns (n, k)."""
+        X = super().solve_columns(B)
+        for x, b in zip(X.T, B.T, strict=True):
+            self._judged(np.asarray(x), np.asarray(b))
+        return X
+
+    def _judged(self, x: Array, b: Array) -> Array:
+        """x, when it solves (E + V C V^T) x = b; the judge of E has seen the solve without slack droppers."""
+        if not self.slack.size:
+            self.judge.solves += 1
+            self.judge.worst = max(self.judge.worst, self.base.judge.worst)
+            return x
+        f, (cm, ck) = self.field, self.weights
+        r = cm * f.mass(x[:, None])[:, 0] + ck * f.tangent(x) + self.V @ (self.C @ (self.V.T @ x)) - b
+        norm = np.linalg.norm
+        self.judge.check(float(norm(r)), float(norm(b)), grown=self.taut.factor.factor.norm * float(norm(x)))
+        return x
+
+    def destroy(self) -> None:
+        """Use the taut factor no more; it stays with the field, whose ``free_factors`` frees it."""
+        self.taut.users -= 1
