@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError, InputError
-from fmbd_fenicsx.schemes.impacts.compiled.trees import trees_of
+from fmbd_fenicsx.schemes.impacts.compiled.driver import trees_of
 from fmbd_fenicsx.system.compiled.tables.tables import Tables
 from fmbd_fenicsx.system.scene import placed_bodies
 

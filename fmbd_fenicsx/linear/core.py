@@ -3,7 +3,7 @@
     [ A  G^T ] [ x ]   [ b ]
     [ G   0  ] [ y ] = [ c ]                                                                             (1)
 
-Rows and columns are scaled (:mod:`.scaling`). Where a dense factor loses pivots, even scales are taken for it, and residuals are
+Rows and columns are scaled (:func:`scales`). Where a dense factor loses pivots, even scales are taken for it, and residuals are
 judged in the first ones as before; a sparse factor has the first ones only. Dependent rows of G are solved in the minimum-norm
 sense when the caller allows it.
 """
@@ -17,13 +17,15 @@ import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
 import scipy.sparse.linalg as spl
+from scipy.sparse.csgraph import connected_components
 
 from ..errors import LinearSolveError
 from ..matrices import dense, singular_values
 from ..rotations import Array
 from .residual import Judge
-from .scaling import both_sides, even_rows, even_scales, scales
 
+MOST_SCALINGS = 8  # of a matrix whose rows are of different size
+SMALL_ROW = 0.1  # largest entry of a row, scaled, above which it is large enough
 TIE_LIMIT = 1500  # multipliers of surface ties that the dense core takes
 RANK_TOLERANCE = 1e-11
 EPS = float(np.finfo(float).eps)
@@ -295,3 +297,66 @@ def _norm(x: Array) -> float:
 def _whole(A: Any, G: Any, C: Array | None, upper: Any) -> Array:
     """The matrix of (1), dense."""
     return np.block([[dense(A), dense(upper)], [dense(G), np.zeros((G.shape[0],) * 2) if C is None else C]])
+
+
+def both_sides(K: Array, scale: Array) -> Array:
+    """Rows and columns of a matrix scaled alike."""
+    return K * scale * scale[:, None]
+
+
+def scales(A: Any, G: Any) -> Array:
+    """Scales of rows and columns alike, for A (n, n) and G (m, n), both dense or both sparse, (n + m,):
+
+        [ A  G^T ]        D = diag(A)^-1/2  for A,   the norms of the rows of G D  for G
+        [ G   0  ]
+
+    so that masses, lengths and step sizes of any size give the same condition number (the step's own h-scaling is in A, see
+    :mod:`fmbd_fenicsx.schemes`). A body of hardly any mass between others makes the rows of its joints the same then, to
+    roundoff: even scales leave all that joints move alike at one size. They need the whole matrix, dense.
+
+    Source: Ruiz, A scaling algorithm to equilibrate both rows and columns norms in matrices, RAL-TR-2001-034.
+    """
+    diagonal = np.asarray(A.diagonal())
+    largest = max(float(np.abs(diagonal).max(initial=0.0)), 1e-300)
+    D = 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, largest))
+
+    if sp.issparse(G):
+        norms = np.sqrt(np.asarray(G.multiply(D).power(2).sum(1)).ravel())
+    else:
+        norms = np.sqrt(((G * D) ** 2).sum(1))
+    return np.concatenate((D, 1.0 / np.where(norms > 0, norms, 1.0)))
+
+
+def even_scales(K: Array, n: int) -> Array:
+    """Scales of the whole matrix K, with A (n, n), that bring what joints move alike to one size in G, whatever it weighs; of
+    bodies that joints connect the heaviest has a mass of one.
+    """
+    part = connected_components(K, directed=False)[1]
+    weight = np.sqrt(np.abs(K.diagonal()[:n]))
+
+    def heaviest_one(scale: Array) -> Array:
+        top = np.zeros(len(part))
+        np.maximum.at(top, part[:n], weight * scale[:n])
+        top = np.where(top > 0, top, 1.0)[part]
+        return np.concatenate((scale[:n] / top[:n], scale[n:] * top[n:]))
+
+    scale = heaviest_one(np.ones(len(part)))
+    return heaviest_one(scale * even_rows(both_sides(K, scale)))
+
+
+def even_rows(K: Array) -> Array:
+    """Scales of any matrix: square roots of the row maxima, again while that leaves rows with small entries only."""
+    rows = np.abs(K)
+    scale = 1.0 / np.sqrt(_tops(rows))
+    for _ in range(MOST_SCALINGS):
+        top = _tops(both_sides(rows, scale))
+        if top.min(initial=1.0) > SMALL_ROW:
+            break
+        scale = scale / np.sqrt(top)
+    return scale
+
+
+def _tops(rows: Array) -> Array:
+    """Largest entry of each row and column, 1 for those of zeros."""
+    top = np.maximum(rows.max(axis=0), rows.max(axis=1))
+    return np.where(top > 0, top, 1.0)

@@ -15,26 +15,31 @@ import numpy as np
 
 from ..energies import MixedEnergy
 from ..log import log
-from ..matrices import singular_values
+from ..matrices import dense, singular_values
+from ..mechanics.bodies.beams import Beam
 from ..mechanics.forces.dry_friction import DryFriction
 from ..mechanics.forces.force_elements import ScalarLoads
 from ..mechanics.joints.joints import ground
+from ..mechanics.reduction.craig_bampton import FrameModes, ReducedBody
 from ..mechanics.reduction.reduced import ReducedPart
 from ..rotations import Array
 from .compiled.declarations import constants
 from .dependence import DEPENDENT, NEAR_SINGULAR, rows_are_independent, scaled_jacobian, scaled_rows
 from .evaluation import Evaluation
-from .held_modes import stiff_modes
+from .layout import RowBlock
 from .lengths import FITS
+from .spins import mode_by_modes
 from .system import System
 
 (SOFT,) = constants("parts.h", "SOFT")  # share of a row's compliance that solutions beside dependent rows add
+SHARE = 0.02  # of a first frequency that half of the modes may change
+HELD = 1e-6  # part of a rotation in the rows of a joint that is none
+LOOK = 300  # constraint rows up to which modes of bodies are looked at
 ALIKE = 1e-10  # those below this share leave nothing that could be seen in multipliers
 CLEAR = math.sqrt(SOFT)  # rows that solutions beside dependent ones hold apart in one increment
 LEAST_SHARE = 0.005  # of a row, that is listed
 YIELDING = 0.1  # rad, or of the model's length: dry friction that gives way by more before it slides is told
 LOCKED = 1e-2  # part of modes in rows, over that of what moves them most, below which they are not meant to give way
-LOCKED_LOOK = 300  # constraint rows up to which modes are looked at
 
 
 @dataclass(frozen=True)
@@ -151,7 +156,7 @@ def locked_modes(ev: Evaluation) -> str:
     """
     s = ev.system
     reduced = [(s.slices[1][k], part) for k, part in s.core_parts if isinstance(part, ReducedPart) and part.n]
-    if not reduced or not 0 < s.n_lam <= LOCKED_LOOK or rows_are_independent(ev, LOCKED):
+    if not reduced or not 0 < s.n_lam <= LOOK or rows_are_independent(ev, LOCKED):
         return ""
 
     modes = np.concatenate([np.arange(span.start, span.stop) for span, _ in reduced])
@@ -316,3 +321,67 @@ def _units(system: System) -> list[str]:
     if not 1e-4 < system.length < 1e5:
         notes.append(f"the model is {system.length:g} m long; lengths are in m")
     return notes
+
+
+def stiff_modes(ev: Evaluation) -> str:
+    """Which reduced bodies have modes that do not give way to the joints that hold them, as a sentence; "" where none do.
+
+    Modes of a free body, or of one clamped elsewhere, carry no force on its surfaces: what a clamp bends there is the sum of many
+    of them. By m modes the first frequency of a strip in a clamp is some 1.4 / m of it too high, by those of Craig and Bampton it
+    is right at once. What half of the modes tell shows how far all of them are off.
+    """
+    s = ev.system
+    free = [(k, part) for k, part in s.core_parts if isinstance(part, ReducedPart) and _by_frequency(part)]
+    if not free or not 0 < s.n_lam <= LOOK:
+        return ""
+
+    rows = dense(ev.jacobian.core)
+    for k, part in free:
+        if not any(_turns_with(ev, k, part, rows, block) for block in s.blocks):
+            continue
+        all_modes, half = (mode_by_modes(ev, k, part, rows, n)[0] / (2 * np.pi) for n in (part.n, part.n // 2))
+        if half > (1 + SHARE) * all_modes or np.isinf(all_modes):
+            found = f"{_hertz(all_modes)} by all of them, {_hertz(half)} by half"
+            return (
+                f'body "{part.name}" is stiffer between its joints by its {part.n} modes than it is: its first frequency there '
+                f"is {found}. {_remedy(part)}"
+            )
+    return ""
+
+
+def _remedy(part: ReducedPart) -> str:
+    if isinstance(part.body, Beam):
+        return "Take modes=None, which keeps all of its elements"
+    return "Take reduced(basis=fmbd.CraigBampton(...)) with the surfaces that joints hold"
+
+
+def _hertz(frequency: float) -> str:
+    return f"{frequency:.4g} Hz" if np.isfinite(frequency) else "none"
+
+
+def _turns_with(ev: Evaluation, k: int, part: ReducedPart, rows: Array, block: RowBlock) -> bool:
+    """Whether a joint holds a rotation of its point on the reduced body k: forces alone are carried by few modes."""
+    s, n, d = ev.system, ev.system.motions.n_twist, ev.system.motions.dim
+    of_joint = rows[block.rows.start : block.rows.stop]
+    if block.a < 0 or not of_joint[:, s.slices[1][k]].any():
+        return False
+
+    # rotations of the frame about the point of the joint
+    on_frame = of_joint[:, n * part.frame : n * (part.frame + 1)]
+    place, axes = ev.q[s.motions.n_pose * part.frame :][:d], np.eye(n - d)
+    lever = place - ev.kin.x[block.a]
+    turned = axes @ ev.rotation[part.frame].T if d == 3 else axes
+    about = np.cross(turned, lever) if d == 3 else np.array([[-lever[1], lever[0]]])
+    moved = on_frame @ np.hstack((about, axes)).T
+    return bool(np.abs(moved).max() > HELD * np.abs(on_frame[:, d:]).max(initial=0.0))
+
+
+def _by_frequency(part: ReducedPart) -> bool:
+    """Whether a body has vibration modes alone, the lowest first."""
+    body = part.body
+    alone = body.modes is not None if isinstance(body, Beam) else _has_frame_modes(body)
+    return alone and part.n > 1
+
+
+def _has_frame_modes(body: Any) -> bool:
+    return isinstance(body, ReducedBody) and isinstance(body.basis, FrameModes)

@@ -7,7 +7,7 @@ and for distances to shapes of the user's own; steps whose contact forces are ha
 from __future__ import annotations
 
 import ctypes
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -35,12 +35,51 @@ from .pairs import RESTED, PairTables
 from .spheres import Spheres
 from .structures import Blocks, Contacts, Graph, Problem, Tree, structure
 from .tape import ContactTape
-from .trees import trees_of
 
 if TYPE_CHECKING:
     from ....system.compiled.tape import Openness, Tape
     from ...newton import Newton
     from ..moreau import Moreau
+
+
+@dataclass(frozen=True, eq=False)
+class Trees:
+    """Parts of a system that nothing couples: a force on a body moves its own part only (``driver/contact/compliance.c``). Fronts
+    and bodies of each, ascending; ``tree_of`` (bodies,): which one a body is in.
+    """
+
+    fronts: list[np.ndarray]
+    bodies: list[np.ndarray]
+    tree_of: np.ndarray
+
+
+def trees_of(tables: Tables) -> Trees:
+    """Those of the step's matrix; a single one where efforts may answer to bodies that they do not act on."""
+    fronts = tables.fronts
+    root = np.arange(len(fronts.fronts))
+
+    # a front is added to one that comes later
+    for k in reversed(range(len(root))):
+        following = fronts.fronts[k].following
+        if following >= 0:
+            root[k] = root[following]
+    if tables.c.linkable:
+        root[:] = 0
+
+    # attitudes that nothing but rows of their own acts on go with their bodies
+    root[fronts.front_of[tables.at_u + tables.twist - 1]] = root[fronts.front_of[tables.at_u]]
+
+    _, tree = np.unique(root, return_inverse=True)
+    tree_of = tree[fronts.front_of[tables.at_u]]
+    count = int(tree.max(initial=-1)) + 1
+    return Trees(_split(tree, count), _split(tree_of, count), tree_of)
+
+
+def _split(number: np.ndarray, count: int) -> list[np.ndarray]:
+    """Places of each number from 0 to count - 1, ascending."""
+    order = np.argsort(number, kind="stable")
+    return np.split(order, np.searchsorted(number[order], np.arange(1, count)))
+
 
 BOUNDED = slots.AM
 MOST = 1024  # contacts closed at once: a step with more is NumPy's

@@ -11,6 +11,7 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 
 from ....kernel_cache import address_of
 from ....linear.complementarity.active_set import ContactCounts
@@ -19,7 +20,67 @@ from ....system.compiled.declarations import enumeration
 from ....system.compiled.library import CONTACT, driver_library
 from ....system.compiled.states.evaluation import DriverStates
 from ....system.system import System
-from .structures import Blocks, Contacts, Problem, Tally
+from .structures import Blocks, Contacts, Lumped, Problem, Tally
+
+
+class LumpedInverse:
+    """What is nearly the inverse of the compliance of many contacts with d components, as C eliminates it (``products.c``).
+
+    Its pattern is that of N E N^T, with E the block of the step's matrix on the nodes that carry multipliers. An order of
+    elimination and what fills are found once for a set of contacts.
+    """
+
+    def __init__(self, d: int) -> None:
+        self.d = d
+        self.arrays: dict[str, np.ndarray] = {}
+        self.c = Lumped()
+
+    def take(self, near: Any) -> None:
+        """``near`` (m, m) sparse: which contacts E couples, themselves too."""
+        m, square = near.shape[0], self.d**2
+        place, of, (low, behind) = _eliminated(near)
+
+        # where each pair of neighbours has its block among those that stand or fill
+        row, other = sp.csr_matrix(near[of][:, of]).nonzero()
+        apart = row != other
+        row, other = row[apart], other[apart]
+        slot = np.searchsorted(low * m + behind, np.minimum(row, other) * m + np.maximum(row, other))
+        first, start = (np.searchsorted(rows, np.arange(m + 1)) for rows in (row, low))
+
+        numbers = {
+            "place": place, "of": of, "slot": slot, "first": first, "start": start, "near": other, "behind": behind,
+            "still": np.zeros(m),
+        }  # fmt: skip
+        blocks_of = {"own": m, "W": len(row), "inner": m, "upper": len(behind), "lower": len(behind)}
+        self.arrays = {name: np.ascontiguousarray(x, np.int32) for name, x in numbers.items()}
+        self.arrays |= {name: np.zeros(count * square) for name, count in blocks_of.items()}
+        self.arrays |= {"size": np.zeros(m), "work": np.zeros(2 * m * self.d * (1 + self.d))}
+
+        c, at = self.c, {name: address_of(one) for name, one in self.arrays.items()}
+        blocks = ("first", "near", "slot", "start", "behind", "own", "W")
+        c.inverse = Problem(m=m, **{name: at[name] for name in blocks})
+        c.blocks = Blocks(at["inner"], at["size"], at["upper"], at["lower"])
+        c.place, c.of, c.still, c.work = (at[name] for name in ("place", "of", "still", "work"))
+
+
+def _eliminated(near: Any) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]:
+    """Places of contacts in an order of elimination that fills little, the contacts there, and where blocks stand or fill behind
+    each, row by row, ascending.
+    """
+    from scipy.sparse.linalg import splu
+
+    ones = sp.csc_matrix((np.ones(near.nnz), near.nonzero()), shape=near.shape)
+    degree = np.asarray(ones.sum(axis=0)).ravel()
+    dominant = sp.diags(1.0 + degree) - ones  # whose factors lose no number that fills
+    symmetric: Any = {"SymmetricMode": True}
+    found = splu(dominant.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=symmetric)
+    L = sp.csc_matrix(found.L)
+    behind, low = L.nonzero()
+    order = np.lexsort((behind, low))
+    low, behind = low[order], behind[order]
+    place = np.asarray(found.perm_c)
+    return place, np.argsort(place), (low[behind > low], behind[behind > low])
+
 
 # of forces, that its iteration works with
 VECTORS = 16 + 2 * enumeration("DIRECTIONS", "contact/friction.c")["DIRECTIONS"]
@@ -85,8 +146,6 @@ class CompiledProblem:
 
     def take_lumped(self, near: Any) -> None:
         """Problems come next whose matrix is known by its products; ``near``: as of :meth:`.LumpedInverse.take`."""
-        from .lumped import LumpedInverse
-
         m = near.shape[0]
         if m > self.room_applied:
             self._make_room(m, applied=True)
