@@ -173,6 +173,14 @@ def test_laws_are_asked_once_for_all_stages() -> None:
     assert found < AROUND + 8.0 * each
 
 
+@compiled
+def test_forces_are_asked_together_at_all_stages() -> None:
+    """Each point costs the call of the law with what is checked of its answer, all else is one call for them."""
+    asked: list[float] = []
+    found, each = calls_a_step(lambda: scene_of("own force", asked), fmbd.Radau(7, rtol=None), asked)
+    assert found < AROUND + 16.0 * each
+
+
 def test_a_function_is_asked_by_one_call_more() -> None:
     """Usual answers pass at a glance: of a motion, a law, and a joint by a function of numbers, once they are known."""
     motion = smooth_motion("drive", lambda t: 0.5 * float(t))

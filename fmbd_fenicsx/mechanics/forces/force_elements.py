@@ -80,6 +80,11 @@ class Loads:
         """Wrenches (force, torque) in world axes on the :attr:`markers`, each (m, d + n_rot)."""
         raise NotImplementedError
 
+    def wrenches_at(self, kins: Sequence[Kinematics], times: Sequence[float]) -> tuple[Array, Array]:
+        """Those on two markers in many configurations at their times (s), each (k, m, d + n_rot)."""
+        a, b = zip(*[self.wrenches(kin, t) for kin, t in zip(kins, times, strict=True)], strict=True)
+        return np.array(a), np.array(b)
+
     def energy(self, kin: Kinematics, t: float) -> float:
         """Potential energy, J."""
         return 0.0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -84,19 +84,26 @@ class OwnLoads(Loads):
         found = [self._answer(k, t, self._motions(k, kin)) for k in range(len(self.forces))]
         return np.array(found)
 
-    def _both(self, kin: Kinematics, found: Array) -> tuple[Array, Array]:
-        """Wrenches on a and on b from what the laws return: on a alone, or on b with the reaction on a."""
+    def _both(self, arms: Array, found: Array) -> tuple[Array, Array]:
+        """Wrenches on a and on b, (.., m, n), from what the laws return: on a alone, or on b with the reaction on a; ``arms``:
+        from a to b, (.., m, d).
+        """
         d, single, alone = self.motions.dim, self.single, self.alone
-        if alone == len(found):
+        if alone == len(self.forces):
             return found, np.zeros(found.shape)
         # force and moment on a, about its own place
         reaction = -found
-        reaction[:, d:] -= self.motions.moment(kin.x[self.b] - kin.x[self.a], found[:, :d])
+        reaction[..., d:] -= self.motions.moment(arms, found[..., :d])
         return (np.where(single, found, reaction), np.where(single, 0.0, found)) if alone else (reaction, found)
 
     def wrenches(self, kin: Kinematics, t: float) -> tuple[Array, Array]:
         """Wrenches of the user's laws on both markers."""
-        return self._both(kin, self._answers(kin, t))
+        return self._both(kin.x[self.b] - kin.x[self.a], self._answers(kin, t))
+
+    def wrenches_at(self, kins: Sequence[Kinematics], times: Sequence[float]) -> tuple[Array, Array]:
+        """As of :class:`Loads`."""
+        found = [self._answers(kin, t) for kin, t in zip(kins, times, strict=True)]
+        return self._both(np.array([kin.x[self.b] - kin.x[self.a] for kin in kins]), np.array(found))
 
     def tangent(self, kin: Kinematics, t: float) -> MarkerTangent:
         """By the Jacobians of the user, by formulas of the law, or by its forward differences by what it reads of its markers."""

@@ -137,6 +137,7 @@ class Calls:
             "MEMORY_ERROR": lambda number, t: tables.listening.tell_error(),
             "LEAD_MEMORIES": lambda number, t: tables.listening.lead(),
             "EFFORT_SLOPES": lambda number, t: tables.listening.slopes(t),
+            "WRENCHES_AHEAD": lambda number, count: tables.whole[number].wrenches_ahead(int(count)),
             "WRENCHES": lambda number, t: tables.whole[number].wrenches(t),
             "WHOLE_SLOPES": lambda number, t: tables.whole[number].slopes(t),
             "SECTIONS": lambda number, t: tables.rods[number].sections(),

@@ -60,6 +60,7 @@ PART double mount_energy(const System *s, const Batch *k);
 
 /* whole.c */
 PART int whole_forces(System *s, Batch *k, double t);
+PART void whole_sights(const System *s, const Batch *k);
 PART int whole_tangents(System *s, Batch *k, double t);
 PART int take_whole_slopes(System *s, Batch *k, double t);
 PART void whole_links(System *s, const Batch *k, const double *cd, const double *ck);
@@ -221,6 +222,7 @@ EXPORT void driver_rate(const System *s, long count, const double *xi, long step
 EXPORT void driver_difference(const System *s, long count, const double *q0, long step, const double *q1, long end_step,
                               const double *near, long near_step, double *xi);
 int acting(System *s, const double *lam, double t);
+const double *known_ahead(const System *s, const Batch *k, const double *seen, double t);
 int foretell_points(System *s, long count, const double *t, int each, const double *q, const double *xi, const double *v, const double *a,
                     double *room);
 int body_forces(System *s, const double *q, const double *v, const double *a, double t);

@@ -73,9 +73,9 @@ typedef struct {
     double *line;                      /* FORMULA, LAW: MOST_POINTS x n x LINE, see bridges.c; NULL for others */
     int *bridges;                      /* n: whether the law counts as its line */
     long sloped;                       /* LAW: the evaluation for which slopes were asked already */
-    long known_to;                     /* LAW: the evaluation up to which N is known ahead, at how many points of a step: */
-    int points;
-    double *ahead;                     /* MOST_STAGES x (1 + 3 n): t, s, s' and N there, see foretell_points(); NULL for others */
+    long known_to;                     /* LAW, WHOLE: the evaluation up to which answers are known, at how many points of a step; */
+    int points, sees, answers;         /* numbers that Python sees, s and s' or the sights, and answers, N or wrenches; */
+    double *ahead;                     /* MOST_STAGES x (1 + both): t and these, see foretell_points(); NULL for others */
     double *known;                     /* FORMULA, LAW: n x 3, s, s' and N where the slopes were taken; WHOLE, MOUNT: see whole.c, mounts.c */
     int *first, *second, *product_to;  /* products: pairs of live entries; n x products places in the fronts */
     int *curve, *curve_to, hessians;   /* curved: which outputs of the tangent kernel; n x curved places; outputs in all */
@@ -508,7 +508,7 @@ typedef struct {
 enum { SAMPLE, EFFORT, SLOPES, WRENCHES, SECTIONS, SECTION_SLOPES, WHOLE_SLOPES, FIELD, FIELD_FORCES, FIELD_ENERGIES,
        FIELD_TANGENTS, PART_FORCES, PART_ENERGIES, PART_TANGENTS, KEEP, EFFORTS, EFFORT_SLOPES,
        FIELD_MEANS, EFFORT_MEANS, FREQUENCIES, FIELD_LOADS, PART_SLOPES, PART_POINTS, FIELD_PORTS,
-       COLLOCATE, MEMORY_ERROR, LEAD_MEMORIES, LOOK_AT_END, EFFORTS_AHEAD };
+       COLLOCATE, MEMORY_ERROR, LEAD_MEMORIES, LOOK_AT_END, EFFORTS_AHEAD, WRENCHES_AHEAD };
 enum { OUTSIDE = 2 };
 
 /* Parts of a SAMPLE: all of it, all but the rates of motions, these alone. */

@@ -78,18 +78,31 @@ static void coordinates(const System *s, const Batch *k)
 /* Whether a law in Python is asked where points of a step are evaluated. */
 static int asks_ahead(const System *s, const Batch *k) { return k->ahead && (s->bent || !is_held(s, k)); }
 
-/* What laws in Python see at point j: t, s and s'. */
-static void note_coordinates(System *s, long j, double t)
+/* What laws in Python see at point j. */
+static void note_point(System *s, long j, double t)
 {
     for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
         if (!asks_ahead(s, k)) continue;
-        double *x = k->ahead + j * (1 + 3 * k->n);
+        double *x = k->ahead + j * (1 + k->sees + k->answers);
+        x[0] = t;
+        if (k->role == WHOLE) {
+            whole_sights(s, k);
+            memcpy(x + 1, k->sight, k->sees * sizeof(double));
+            continue;
+        }
         values(s, k);
         coordinates(s, k);
-        x[0] = t;
-        memcpy(x + 1, k->s, k->n * sizeof(double));
-        memcpy(x + 1 + k->n, k->rate, k->n * sizeof(double));
+        memcpy(x + 1, k->s, k->sees * sizeof(double));
     }
+}
+
+/* The answers of laws in Python to what they see now, where these have been asked for ahead, else NULL. */
+const double *known_ahead(const System *s, const Batch *k, const double *seen, double t)
+{
+    const double *x = k->ahead;
+    for (int j = 0; s->evaluations <= k->known_to && j < k->points; j++, x += 1 + k->sees + k->answers)
+        if (x[0] == t && !memcmp(x + 1, seen, k->sees * sizeof(double))) return x + 1 + k->sees;
+    return NULL;
 }
 
 /* Ask once each for what parts and laws in Python do at many points, q o exp(xi), one q for all or ``each`` its own (xi NULL): the
@@ -108,13 +121,13 @@ int foretell_points(System *s, long count, const double *t, int each, const doub
         const double *there = q + each * j * s->nq;
         if (xi) configuration(s, q, xi + j * s->nv, room), there = room;
         if (place(s, there, v + j * s->nv)) return DONE; /* whoever evaluates the point says why */
-        note_coordinates(s, j, t[j]);
+        note_point(s, j, t[j]);
     }
 
     for (Batch *k = s->batch; k < s->batch + s->batches && !verdict; k++) {
         if (!asks_ahead(s, k)) continue;
         s->calls++;
-        if (s->python(EFFORTS_AHEAD, k->number, count)) return FAILED;
+        if (s->python(k->role == WHOLE ? WRENCHES_AHEAD : EFFORTS_AHEAD, k->number, count)) return FAILED;
         k->known_to = s->evaluations + count;
         k->points = (int)count;
     }
@@ -155,16 +168,6 @@ int inertia(System *s, const double *q, const double *v, const double *a, double
     return verdict;
 }
 
-/* N of a law in Python where it has been asked for ahead, else NULL. */
-static const double *effort_ahead(const System *s, const Batch *k, double t)
-{
-    const double *x = k->ahead;
-    for (int j = 0; s->evaluations <= k->known_to && j < k->points; j++, x += 1 + 3 * k->n)
-        if (x[0] == t && !memcmp(x + 1, k->s, k->n * sizeof(double)) && !memcmp(x + 1 + k->n, k->rate, k->n * sizeof(double)))
-            return x + 1 + 2 * k->n;
-    return NULL;
-}
-
 /* N of a batch at its s and s'. */
 static int law_of_state(System *s, Batch *k, const void *none, double t)
 {
@@ -172,7 +175,7 @@ static int law_of_state(System *s, Batch *k, const void *none, double t)
     for (long i = 0; k->role == FORMULA && i < k->n; i++) formula(k, i, t);
     if (k->role != LAW) return DONE;
     if (k->act) return control_effort(s, k, t);
-    const double *ahead = effort_ahead(s, k, t);
+    const double *ahead = known_ahead(s, k, k->s, t); /* s' stands behind s */
     if (ahead) {
         memcpy(k->effort, ahead, k->n * sizeof(double));
         return DONE;

@@ -136,12 +136,20 @@ static void keep_sights(Batch *k)
     }
 }
 
-/* Wrenches on the markers into the residuals of their frames; one call into Python for all forces of a batch, or their slopes. */
-int whole_forces(System *s, Batch *k, double t)
+/* The motions of all markers, where frames are placed. */
+void whole_sights(const System *s, const Batch *k)
 {
     for (long i = 0; i < 2 * k->n; i++)
         if (!alone(k, i / 2, i % 2)) sight_of(s->frames + FRAME * k->pair[i], k->P + SIDE * i, k->sight + PLACED * k->marker[i]);
+}
+
+/* Wrenches on the markers into the residuals of their frames; one call into Python for all forces of a batch, or their slopes. */
+int whole_forces(System *s, Batch *k, double t)
+{
+    whole_sights(s, k);
+    const double *ahead = s->straight ? NULL : known_ahead(s, k, k->sight, t);
     if (s->straight) along_slopes(k);
+    else if (ahead) memcpy(k->push, ahead, k->answers * sizeof(double));
     else {
         s->calls++;
         if (s->python(WRENCHES, k->number, t)) return FAILED;

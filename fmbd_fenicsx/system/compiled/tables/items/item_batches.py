@@ -122,6 +122,7 @@ def item_batch(tables: TableLayout, items: Items, number: int) -> Any:
         one.line = store.zeros({"line": (MOST_POINTS, n, LINE)})["line"][1]
         one.bridges = store.integers(np.zeros(n))
     if items.law is not None:
+        one.sees, one.answers = 2 * n, n
         items.ahead, one.ahead = store.array(np.zeros((MOST_STAGES, 1 + 3 * n)))
     items.table, one.P = room["P"]
     items.arrays["out"] = room["out"][0]

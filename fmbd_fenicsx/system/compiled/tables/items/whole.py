@@ -9,6 +9,7 @@ import numpy as np
 
 from .....mechanics.forces.force_elements import Loads
 from .....mechanics.frames import Kinematics
+from .....rotations import Array
 from ...declarations import enumeration
 from ..places import rates_of, square_places
 from ..structures import structure
@@ -16,6 +17,7 @@ from ..structures import structure
 if TYPE_CHECKING:
     from ..layout import TableLayout
 
+MOST_STAGES = enumeration("MOST_STAGES")["MOST_STAGES"]
 WHOLE = enumeration("ROW")["WHOLE"]  # the role
 
 
@@ -40,6 +42,8 @@ class WholeLoads:
         self.K, K = store.array(np.zeros((count, 2 * n, 2 * n)))
         self.B, B = store.array(np.zeros((count, 2 * n, 2 * n)))
         self.known, known = store.array(np.zeros((count, 2 * self.sight.shape[1] + 2 * n)))
+        self.sees = self.sight.size
+        self.ahead, ahead = store.array(np.zeros((MOST_STAGES, 1 + self.sees + self.push.size)))
         self.astray, astray = store.array([1], np.int32)
 
         frames = tables.frame[pairs]
@@ -48,10 +52,9 @@ class WholeLoads:
             role=WHOLE, n=count, number=number, mapped=1, P=store.address(self._constants(tables, pairs)),
             pair=store.integers(frames), at=store.integers(tables.twist_places(frames).reshape(count, -1)),
             marker=store.integers(local), known=known,
-            sight=sight, push=push, K=K, B=B, astray=astray,
+            sight=sight, push=push, K=K, B=B, astray=astray, ahead=ahead, sees=self.sees, answers=self.push.size,
             **square_places(tables, store, rates_of(tables, frames)),
         )  # fmt: skip
-        self._kin = self._kinematics()
 
     @staticmethod
     def _constants(tables: TableLayout, pairs: np.ndarray) -> np.ndarray:
@@ -62,10 +65,9 @@ class WholeLoads:
         turn = markers.rotation[pairs].reshape(count, 2, -1)
         return np.concatenate((place, turn), axis=2).reshape(count, -1)
 
-    def _kinematics(self) -> Kinematics:
-        """The markers as C placed them, a copy: laws may change what they are given."""
+    def _kinematics(self, sight: Array) -> Kinematics:
+        """The markers as C placed them, of a copy: laws may change what they are given."""
         d = self.dim
-        sight = self.sight.copy()
         none = np.zeros((len(sight), 0, 0))
         kin = Kinematics(sight[:, :d], sight[:, d : d + d * d].reshape(-1, d, d), none, none)
         kin.twist = sight[:, d + d * d :]
@@ -86,12 +88,19 @@ class WholeLoads:
 
     def wrenches(self, t: float) -> None:
         """Wrenches on both markers of each force."""
-        self._kin = self._kinematics()
         n = self.push.shape[1] // 2
-        self.push[:, :n], self.push[:, n:] = self.loads.wrenches(self._kin, t)
+        self.push[:, :n], self.push[:, n:] = self.loads.wrenches(self._kinematics(self.sight.copy()), t)
+
+    def wrenches_ahead(self, count: int) -> None:
+        """The same at so many points of a step."""
+        points = self.ahead[:count]
+        sights = points[:, 1 : 1 + self.sees].copy().reshape(count, *self.sight.shape)
+        kins = [self._kinematics(sight) for sight in sights]
+        on_both = self.loads.wrenches_at(kins, points[:, 0].tolist())
+        points[:, 1 + self.sees :] = np.concatenate(on_both, axis=2).reshape(count, -1)
 
     def slopes(self, t: float) -> None:
         """K and B of the state evaluated last."""
-        tangent = self.loads.tangent(self._kin, t)
+        tangent = self.loads.tangent(self._kinematics(self.sight.copy()), t)
         if tangent is not None:
             self.K[:], self.B[:] = tangent.K, tangent.D
