@@ -463,3 +463,28 @@ def test_a_scene_without_free_motion_has_no_modes() -> None:
     for ask in (lambda: fmbd.modes(scene, 1), lambda: fmbd.linearise(scene, ["push"], ["arm"])):
         with pytest.raises(InputError, match="leave no motion free"):
             ask()
+
+
+def two_springs(masses: tuple[float, float], stiff: float) -> fmbd.Scene:
+    """Two masses one behind the other on springs of 1 N/m and ``stiff``."""
+    scene, before = fmbd.Scene("springs", gravity=(0.0, 0.0)), fmbd.ground
+    for i, (m, k) in enumerate(zip(masses, (1.0, stiff), strict=True)):
+        body = fmbd.RigidBody(f"body {i}", m, m, (float(i), 0.0))
+        guide: Any = fmbd.prismatic(f"guide {i}", before, body, axis=(1, 0), center=(i, 0))
+        scene.add(body, guide, fmbd.joint_spring(f"spring {i}", fmbd.displacement(guide), stiffness=k))
+        before = body
+    return scene
+
+
+def test_modes_that_roundoff_hides_are_told(caplog: Any) -> None:
+    """Beside 1e14 N/m the slow one of sqrt(1/2) rad/s is found to parts in a hundred; of 1e-12 beside 1e12 kg none is left."""
+    for stiff, told in ((1e8, False), (1e14, True)):
+        caplog.clear()
+        assert fmbd.modes(two_springs((1.0, 1.0), stiff), 2).omega[0] == pytest.approx(np.sqrt(0.5), rel=0.1)
+        assert any("known to about" in r.getMessage() for r in caplog.records) == told
+    light = two_springs((1e-12, 1e12), 1e12)
+    caplog.clear()
+    fmbd.modes(light, 2)
+    assert any("masses of others" in r.getMessage() for r in caplog.records)
+    with pytest.raises(InputError, match="masses are nothing beside those of others"):
+        fmbd.linearise(light)

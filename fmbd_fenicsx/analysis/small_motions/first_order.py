@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg as sl
 
+from ...errors import InputError
 from ...rotations import Array
 from .basis import ProjectedSystem
 
@@ -58,7 +59,13 @@ def first_order(small: ProjectedSystem) -> FirstOrder:
         N = sl.null_space(G)
         D = -np.linalg.pinv(G) @ P
 
-    inverse = np.linalg.solve(N.T @ M @ N, N.T) if N.shape[1] else N.T
+    try:
+        inverse = np.linalg.solve(N.T @ M @ N, N.T) if N.shape[1] else N.T
+    except np.linalg.LinAlgError:
+        raise InputError(
+            "Motions without mass are left, or bodies whose masses are nothing beside those of others: give them masses of no "
+            f"less than {np.finfo(float).eps:.0e} of these, or leave them out."
+        ) from None
     by_z = K + (C + M @ D) @ D
     by_u = (C + M @ D) @ N
     A = np.block([[D, N], [-inverse @ by_z, -inverse @ by_u]])

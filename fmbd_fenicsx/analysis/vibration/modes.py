@@ -47,6 +47,7 @@ FAR = 1e-3  # accelerations of a state "in equilibrium", over weights
 STAYS = 1e-10  # relative change of squared eigenvalues that are those wanted
 RIGID = 1e-3  # share of the largest that is added: what rigid motions have is roundoff of it
 ROUGH = 5e-6  # relative change by roundoff of the stiffness that they may have
+KNOWN = 1e-4  # share to which eigenvalues are known, above which that is told
 ROUNDOFF = 1e2 * np.finfo(float).eps  # of products with the stiffness, which are differences of forces, over its size
 UNSTEADY = 1e-2  # way by which accelerations would move a scene in a long time, over the model's length; changes of small motions
 NOTHING = 1e-6  # motion in a long time that counts as rest, over the model's length
@@ -176,6 +177,8 @@ def modes_of(scene: Scene, n: int, *, at: Any, linear: Any = None, held: bool = 
         small = projected(made.about, made.solver, n, shift=made.shift, enough=Settled(n, made.about))
         values, vectors = eigenpairs(small, n, made.about, relaxing=relaxes(made.about.system), held=held)
     system = made.about.system
+    if not system.fields:
+        _tell_roundoff(small, values, vectors)
     shapes = vectors.T @ small.vectors
     sizes = [max(system.max_abs(x.real), system.max_abs(x.imag), 1e-300) for x in shapes]
     scaled = np.array([x / s for x, s in zip(shapes, sizes, strict=True)])
@@ -409,6 +412,27 @@ def _roundoff(small: ProjectedSystem, vectors: Array) -> Array:
     mass = np.abs(np.sum(vectors.conj() * (small.M @ vectors), axis=0))
     squares = np.sum(np.abs(vectors) ** 2, axis=0)
     return np.asarray(ROUNDOFF * np.linalg.norm(small.K, 2) * squares / np.maximum(mass, 1e-300))
+
+
+def _tell_roundoff(small: ProjectedSystem, values: Array, vectors: Array) -> None:
+    """Say which eigenvalues l roundoff hides: that of K changes them by e |y|^T |K| |y| / |y* (2 l M + C) y|, that of M by |l|^2
+    as much.
+    """
+
+    def power(A: Array) -> Array:
+        return np.asarray(np.sum(vectors.conj() * (A @ vectors), axis=0))
+
+    size, rate = np.abs(vectors), np.abs(values)
+    slope = np.maximum(np.abs(2.0 * values * power(small.M) + power(small.C)), 1e-150)
+    by_K, by_M = (np.finfo(float).eps * np.sum(size * (np.abs(A) @ size), axis=0) / slope for A in (small.K, small.M))
+    by_K = np.where(by_K < rate, by_K, 0.0)  # nothing but roundoff holds the others
+    share = np.minimum(np.maximum(by_K / np.maximum(rate, 1e-300), by_M * rate), 1.0)
+    k = int(np.argmax(share))
+    if share[k] > KNOWN:
+        log.warning(
+            "modes: mode %d (%.3g 1/s) is known to about %.0e of itself: stiffnesses or masses of others are as much larger. "
+            "Take joints in place of what is so stiff, and leave out bodies that are so light", k, rate[k], share[k],
+        )  # fmt: skip
 
 
 def _enough(count: int, n: int) -> None:
