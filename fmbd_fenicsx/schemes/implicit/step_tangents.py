@@ -27,7 +27,7 @@ from ...system.compiled.states.stages import StageRoom
 from ...system.compiled.tables.bodies.told import is_told
 from ...system.evaluation_batch import EvaluationBatch
 from ...system.layout import State
-from ...system.serialisation import Remembering, plain
+from ...system.serialisation import Memory, Remembering, plain
 from ...system.sparsity import Pattern
 from ...system.system import System
 from ...system.tangents.linearise import at_once, differences
@@ -171,6 +171,14 @@ class SparseTangents(Remembering):
         self.told = any(map(is_told, system.parts))  # whether Python tells masses that change
         self._rooms = Rooms(structure)
         self._whole = dict[int, WholeStructure]()  # of so many stages
+
+    def remember(self, m: Memory) -> None:
+        """With the slopes of laws that the tangent has, by which iterates are judged."""
+        super().remember(m)
+        for i, items in enumerate(self.structure.states.tables.sources):
+            for name in ("stiffness", "damping", "known"):
+                if items.law is not None and name in items.arrays:
+                    items.arrays[name][:] = m(f"{name} {i}", items.arrays[name])
 
     @property
     def masses(self) -> Array:
