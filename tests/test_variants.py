@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -11,6 +14,7 @@ from chains import chain
 from profiled import calls_of
 
 import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.run import variants
 
 
 def pendulum(length: float) -> fmbd.Scene:
@@ -80,6 +84,31 @@ def test_what_a_function_of_an_output_remembers_is_of_all_variants() -> None:
         pendulum, lengths, t_end=0.3, dt=1e-2, output=fmbd.Output(on_step=lambda now: steps.append(now.step))
     )
     assert steps == 4 * [*range(1, 31)]
+
+
+def test_an_interrupt_of_this_process_alone_ends_the_copies(monkeypatch: pytest.MonkeyPatch) -> None:
+    started: list[int] = []
+    start = variants._start
+
+    def interrupted(*_: Any) -> Any:
+        raise KeyboardInterrupt
+
+    def noted(*given: Any) -> tuple[int, int]:
+        started.append(start(*given)[0])
+        return started[-1], 0
+
+    monkeypatch.setattr(variants, "cores", lambda: 2)
+    monkeypatch.setattr(variants, "_start", noted)
+    monkeypatch.setattr(variants, "_answer", interrupted)
+
+    def slow(length: float) -> fmbd.Scene:
+        time.sleep(0.0 if length == 1.0 else 600.0)
+        return pendulum(length)
+
+    with pytest.raises(KeyboardInterrupt):
+        fmbd.study.map(slow, [1.0, 2.0, 3.0], t_end=0.01, dt=1e-3)
+    ended = [os.waitpid(child, 0)[1] for child in started]
+    assert ended == [signal.SIGKILL, signal.SIGKILL]
 
 
 def test_variants_say_what_they_state_of_their_errors_and_what_they_have_not() -> None:

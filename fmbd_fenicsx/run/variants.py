@@ -10,8 +10,10 @@ from __future__ import annotations
 import gc
 import os
 import pickle
+import signal
 import traceback
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -161,7 +163,15 @@ def run_variants(
         return Variants((first, *(one(make, parameter, settings) for parameter in rest)))
     pipes = [_start(one, make, rest[i::workers], settings) for i in range(workers)]
     found: list[Any] = [None] * len(rest)
-    answers = [_answer(*pipe) for pipe in pipes]
+    answers: list[Any] = []
+    try:
+        for pipe in pipes:
+            answers.append(_answer(*pipe))
+    except BaseException:  # an interrupt of this process alone, as a notebook sends it
+        for child, _ in pipes[len(answers) :]:
+            with suppress(ProcessLookupError):
+                os.kill(child, signal.SIGKILL)
+        raise
     for i, answer in enumerate(answers):
         if isinstance(answer, BaseException):
             raise answer

@@ -34,8 +34,9 @@ def state_between(
     contact = getattr(found, "contact", None)
     if contact is None:
         return found
-    from ...system.sensors.contact import gaps_within
+    from ...system.sensors.contact import ContactState, gaps_within
 
+    assert isinstance(found, ContactState)
     gaps = gaps_within(system, [found])
     return found if gaps is None else replace(found, contact=replace(contact, gap=gaps[0]))
 
