@@ -16,7 +16,7 @@ from ....system.compiled.own_steps import OwnSteps, deflections_of
 from ....system.compiled.tables.resting import twin_of
 from ....system.compiled.tables.structures import Store, structure
 from ....system.element_memory import next_sample
-from ...control import FADING, LEAST_ERROR, PATIENCE, REFUSED, TURN, StepControl
+from ...control import ESTIMATE, FADING, LEAST_ERROR, PATIENCE, REFUSED, TURN, StepControl
 from ...error_norm import NormOfWays
 from .quiet_times import CALM, QuietTimes
 from .stretch import Stretch, parts
@@ -114,4 +114,4 @@ class CompiledControl:
             stretch.lost = c.lost, c.until
         control.h_old, control.error_old = c.size_before, c.missed
         if c.refusals or not c.refused:
-            control.rejections = [(t, c.tried, "error estimate")] * c.refused
+            control.rejections = [(t, c.tried, ESTIMATE)] * c.refused

@@ -297,7 +297,7 @@ class VariableAlpha(TimeStepper):
         self.local_error = max(self.local_error, c.largest)
         self.stats.steps += made
         if c.refusals:
-            self.stats.rejected["error estimate"] += c.refusals
+            self.stats.rejected[ESTIMATE] += c.refusals
         if made:
             self.solver.near_singular.accept_trial()
         elif resized:
