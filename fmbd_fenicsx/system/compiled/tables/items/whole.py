@@ -96,7 +96,7 @@ class WholeLoads:
         points = self.ahead[:count]
         sights = points[:, 1 : 1 + self.sees].copy().reshape(count, *self.sight.shape)
         kins = [self._kinematics(sight) for sight in sights]
-        on_both = self.loads.wrenches_at(kins, points[:, 0].tolist())
+        on_both = self.loads.wrenches_at(kins, list(map(float, points[:, 0])))
         points[:, 1 + self.sees :] = np.concatenate(on_both, axis=2).reshape(count, -1)
 
     def slopes(self, t: float) -> None:
