@@ -7,11 +7,11 @@
 enum { MOUNT_ROWS = D + ROT, MOUNT_BOTH = 2 * TWIST };
 enum { MOUNT_P = 0, MOUNT_TA = D, MOUNT_Q = D + D * D, MOUNT_TB = 2 * D + D * D, MOUNT_K = 2 * (D + D * D),
        MOUNT_C = MOUNT_K + MOUNT_ROWS * MOUNT_ROWS };      /* where places, turns, K and C begin among the constants */
-enum { XA = 0, PA = D, XB = TWIST, PB = TWIST + D };       /* where displacements and turns of both frames begin in a row */
+enum { XA = 0, PA = D, XB = TWIST, PB = TWIST + D };       /* where displacements and turns of both frames begin */
 
 typedef struct {
     double s[MOUNT_ROWS], effort[MOUNT_ROWS];
-    double row[MOUNT_ROWS * MOUNT_BOTH];                   /* ds/dt on the twists of both frames, world axes */
+    double row[2][MOUNT_ROWS * TWIST];                     /* ds/dt on the twists of frames a and b, world axes */
     double axes[D * D], turning[ROT * ROT];                /* E: axes of marker a; T: theta' = T (w_b - w_a); world axes */
     double arm[D], lever[D];                               /* r, l: from the origins of both frames to marker b */
 } Mount;
@@ -91,24 +91,20 @@ static inline void turned_by(const double *x, double *L)
 #endif
 }
 
-/* s' = [E^T (v_b + w_b x l - v_a - w_a x r), T (w_b - w_a)] by rows. */
-static void mount_rows(Mount *m)
+/* The share of one frame in s' = [E^T (v_b + w_b x l - v_a - w_a x r), T (w_b - w_a)] by rows: a sign, and the arm to marker b. */
+static void mount_row(const Mount *m, double sign, const double *arm, double *row)
 {
-    double l[D * ROT], r[D * ROT], of_b[D * ROT], of_a[D * ROT];
-    turned_by(m->lever, l);
-    turned_by(m->arm, r);
-    multiply_turned(m->axes, l, of_b, D, D, ROT);
-    multiply_turned(m->axes, r, of_a, D, D, ROT);
+    double across[D * ROT], by_turn[D * ROT];
+    turned_by(arm, across);
+    multiply_turned(m->axes, across, by_turn, D, D, ROT);
 
-    memset(m->row, 0, sizeof m->row);
-    for (int i = 0; i < D; i++) {
-        double *row = m->row + MOUNT_BOTH * i;
-        for (int j = 0; j < D; j++) row[XA + j] = -(row[XB + j] = m->axes[D * j + i]);
-        for (int j = 0; j < ROT; j++) row[PB + j] = of_b[ROT * i + j], row[PA + j] = -of_a[ROT * i + j];
+    for (int i = 0; i < D; i++, row += TWIST) {
+        for (int j = 0; j < D; j++) row[j] = sign * m->axes[D * j + i];
+        for (int j = 0; j < ROT; j++) row[D + j] = sign * by_turn[ROT * i + j];
     }
-    for (int i = 0; i < ROT; i++) {
-        double *row = m->row + MOUNT_BOTH * (D + i);
-        for (int j = 0; j < ROT; j++) row[PA + j] = -(row[PB + j] = m->turning[ROT * i + j]);
+    for (int i = 0; i < ROT; i++, row += TWIST) {
+        for (int j = 0; j < D; j++) row[j] = 0.0;
+        for (int j = 0; j < ROT; j++) row[D + j] = sign * m->turning[ROT * i + j];
     }
 }
 
@@ -125,10 +121,10 @@ static void mount_at(const System *s, const Batch *k, long i, Mount *m)
 #else
     m->turning[0] = rate[0];
 #endif
-    mount_rows(m);
+    mount_row(m, -1.0, m->arm, m->row[0]);
+    mount_row(m, 1.0, m->lever, m->row[1]);
 
-    for (int r = 0; r < MOUNT_ROWS; r++)
-        speed[r] = dot(m->row + MOUNT_BOTH * r, va, TWIST) + dot(m->row + MOUNT_BOTH * r + TWIST, vb, TWIST);
+    for (int r = 0; r < MOUNT_ROWS; r++) speed[r] = dot(m->row[0] + TWIST * r, va, TWIST) + dot(m->row[1] + TWIST * r, vb, TWIST);
     for (int r = 0; r < MOUNT_ROWS; r++)
         m->effort[r] = dot(P + MOUNT_K + MOUNT_ROWS * r, m->s, MOUNT_ROWS) + dot(P + MOUNT_C + MOUNT_ROWS * r, speed, MOUNT_ROWS);
 }
@@ -137,11 +133,14 @@ static void mount_at(const System *s, const Batch *k, long i, Mount *m)
 void mount_forces(System *s, const Batch *k)
 {
     const int *at = k->at;
-    for (long i = 0; i < k->n; i++, at += MOUNT_BOTH) {
+    for (long i = 0; i < k->n; i++) {
         Mount *m = (Mount *)k->known + i;
         mount_at(s, k, i, m);
-        for (int r = 0; r < MOUNT_ROWS; r++)
-            for (int j = 0; j < MOUNT_BOTH; j++) s->residual[at[j]] += m->effort[r] * m->row[MOUNT_BOTH * r + j];
+        for (int side = 0; side < 2; side++, at += TWIST) {
+            double push[TWIST];
+            multiply_turned(m->row[side], m->effort, push, TWIST, MOUNT_ROWS, 1);
+            for (int j = 0; j < TWIST; j++) s->residual[at[j]] += push[j];
+        }
     }
 }
 
@@ -238,15 +237,22 @@ void mount_tangents(System *s, const Batch *k, double cd, double ck, double geom
     for (long i = 0; i < k->n; i++) {
         const Mount *m = (const Mount *)k->known + i;
         const double *K = k->P + k->width * i + MOUNT_K, *B = k->P + k->width * i + MOUNT_C;
-        double W[MOUNT_ROWS * MOUNT_ROWS], half[MOUNT_ROWS * MOUNT_BOTH], C[MOUNT_BOTH * MOUNT_BOTH];
+        double W[MOUNT_ROWS * MOUNT_ROWS], half[MOUNT_ROWS * TWIST], part[TWIST * TWIST], C[MOUNT_BOTH * MOUNT_BOTH] = {0.0};
         for (int r = 0; r < MOUNT_ROWS; r++)
             for (int c = 0; c < MOUNT_ROWS; c++) {
                 const int one = MOUNT_ROWS * r + c, other = MOUNT_ROWS * c + r;
                 W[one] = 0.5 * (ck * (K[one] + K[other]) + cd * (B[one] + B[other]));
             }
 
-        multiply(W, m->row, half, MOUNT_ROWS, MOUNT_ROWS, MOUNT_BOTH);
-        multiply_turned(m->row, half, C, MOUNT_BOTH, MOUNT_ROWS, MOUNT_BOTH);
+        for (int b = 0; b < 2; b++) {
+            if (k->pair[2 * i + b] == s->bodies) continue; /* the ground does not move */
+            multiply(W, m->row[b], half, MOUNT_ROWS, MOUNT_ROWS, TWIST);
+            for (int a = 0; a < 2; a++) {
+                if (k->pair[2 * i + a] == s->bodies) continue;
+                multiply_turned(m->row[a], half, part, TWIST, MOUNT_ROWS, TWIST);
+                for (int j = 0; j < TWIST; j++) memcpy(C + MOUNT_BOTH * (TWIST * a + j) + TWIST * b, part + TWIST * j, sizeof(double) * TWIST);
+            }
+        }
         if (geometric != 0.0) mount_curves(m, geometric, C);
         mapped_square(s, k, i, C);
     }
