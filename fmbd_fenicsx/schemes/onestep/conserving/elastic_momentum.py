@@ -64,8 +64,8 @@ class _Body:
         """Whether the tangent depends on the size of the step only."""
         return not (self.field.nonlinear or self.field.loads.moving or self.field.viscous.law is not None)
 
-    def begin(self, state: tuple[float, Array, Array], h: float, gravity: Array, mean: Array | None) -> None:
-        """A step of size h (s) from t, u_0, v_0, and a first u_1: by ``mean`` accelerations, or moved on rigidly; collective."""
+    def begin(self, state: tuple[float, Array, Array], h: float, gravity: Array) -> None:
+        """A step of size h (s) from t, u_0, v_0, and a first u_1; collective."""
         self.t, U, V = state
         t, f = self.t, self.field
         self.h = h
@@ -75,8 +75,7 @@ class _Body:
         drift = 2.0 / h * (U / h + V).reshape(-1, f.dim) + gravity
         self._known = (f.mass(drift) + outer + inner).ravel()
 
-        self.U0, self.V0 = U, V
-        self.U = self.part.moved_rigidly(U, V, h) if mean is None else U + h * V + 0.5 * h**2 * mean
+        self.U, self.U0, self.V0 = self.part.moved_rigidly(U, V, h), U, V
         self.turn = None
         if self.taken is not None and not self.constant:
             self.turn = self._mean_turn() @ self.taken.turn.T
@@ -182,12 +181,12 @@ class Fields:
         self._own_W: list[Array] = [np.zeros((H.shape[1], H.shape[1])) for H in self._H]
         self.W: Array = np.zeros((len(used), len(used)))
 
-    def begin(self, s: State, h: float, mean: Array | None) -> None:
-        """A step of size h from a state, with foretold ``mean`` accelerations (n_v,) where these are known; collective."""
+    def begin(self, s: State, h: float) -> None:
+        """A step of size h from a state; collective."""
         in_q, in_v, _ = self.system.slices
         g = self.system.gravity(s.t + 0.5 * h)
         for body, (k, _) in zip(self.bodies, self.system.fields, strict=True):
-            body.begin((s.t, s.q[in_q[k]], s.v[in_v[k]]), h, g, None if mean is None else mean[in_v[k]])
+            body.begin((s.t, s.q[in_q[k]], s.v[in_v[k]]), h, g)
         self._turn_compliance()
 
     def _turn_compliance(self) -> None:

@@ -86,7 +86,7 @@ class StepsInParts(MarchingStepper):
         s, n, (a, lam) = self.state, self.n, guess
         self._use_fields()
         if self.fields is not None:
-            self.fields.begin(s, h, None if differences else a)  # a foretold end did not serve either
+            self.fields.begin(s, h)
             # increments of fields are ways already
             ends = replace(self._ends(h, parts=True), nothing=4.0 * NOTHING, most=WITH_FIELDS)
         y = self._iterated(h, np.concatenate((a[:n], self._port_values(), lam)), ends, differences=differences)
