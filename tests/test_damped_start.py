@@ -48,6 +48,21 @@ def test_damper_takes_a_speed_within_a_step(form: Any) -> None:
 
 
 @pytest.mark.parametrize("form", FORMS, ids=lambda f: f.name)
+def test_load_at_once_against_a_strong_damper_alone(form: Any) -> None:
+    """Of a_0 a step leaves g m / (c h), 1e-6 m/s^2, but nothing takes h^2 a_0 back: x = v t, v = -m g / c."""
+    c, g = 1e9, 9.81
+    body = fmbd.RigidBody("body", 1.0, 1.0, (0.0, 0.0))
+    guide = fmbd.prismatic("guide", fmbd.ground, body, axis=(1, 0), center=(0, 0))
+    damper = fmbd.joint_spring("damper", fmbd.displacement(guide), stiffness=0.0, damping=c)
+    scene = fmbd.Scene("creeping", gravity=(-g, 0.0))
+    scene.add(body, guide, damper)
+    scene.sensor("x", fmbd.position(body))
+    run = solved(scene, 0.2, 1e-2, form=form)
+    assert np.abs(run["x"][1:, 0] + g / c * run.times[1:]).max() < 1e-3 * g / c
+    assert run.counters["damped_steps"] == 4
+
+
+@pytest.mark.parametrize("form", FORMS, ids=lambda f: f.name)
 def test_order_two_behind_a_layer(form: Any) -> None:
     """A spring of rate k / c = 5 / s begins at once against the damper: places, velocities and reactions of the slow motion."""
     slow, fast = sorted(np.roots([INERTIA, 1e6, 5e6]), key=abs)

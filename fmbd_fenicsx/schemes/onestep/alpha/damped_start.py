@@ -14,8 +14,8 @@ unresolved where |a| < 0.3 |a_0| in the norm of the largest entry, both with r a
 
 that is from c h = 4.6 on, rho_inf = 0.8. A vibration that h does not resolve stays what the scheme makes of it: it goes on in the
 body, and runs with other steps have to tell it as an error. Units and sizes of loads have no part in this, and where h resolves
-the motion |a_0 - a| is O(h). What moves places, ck |a|, by less than Newton's iteration may leave open counts as none: forces at
-roundoff shake stiff bodies at rest. A start is damped for four steps, each of which leaves a fifth at most of what is far faster
+the motion |a_0 - a| is O(h). What moves places, ck |a_0|, by less than Newton's iteration may leave open counts as none: forces at
+roundoff shake stiff bodies at rest. What is left of it may be less: where a damper alone holds a body, all of h^2 a_0 stays. A start is damped for four steps, each of which leaves a fifth at most of what is far faster
 than the step, and until half of an acceleration is left.
 
 Until a start is resolved its steps are those of the diagonally implicit method of two stages, g = 1 - 1/sqrt(2),
@@ -86,6 +86,9 @@ def damped_acceleration(
     ``nothing``: displacement (m) that counts as none. Collective.
     """
     system, w, h = solver.system, rule.weights, rule.h
+    size = system.max_abs(start.a)
+    if w.ck * size <= nothing:
+        return None
     held = ev.balance(start.a, start.lam)
     push = held - ev.balance(np.zeros_like(start.a), start.lam)
 
@@ -95,14 +98,14 @@ def damped_acceleration(
     if w.cd * system.dot(start.a, drag) <= (1.0 / left - 1.0) * w.cm * system.dot(start.a, push):
         return None
 
-    size, across = system.max_abs(start.a), ev.jacobian.times(start.a)
+    across = ev.jacobian.times(start.a)
     there = system.at(start.t + h, system.compose(start.q, h * start.v), start.v)
     change = there.balance(start.a, start.lam) - held
     solver.prepare(ev, w)
     for pushed in (push, push - change):
         a, _ = solver.solve(pushed, across)
         rest = system.max_abs(a)
-        if not rest < left * size or w.ck * rest <= nothing:
+        if not rest < left * size:
             return None
     return a
 
