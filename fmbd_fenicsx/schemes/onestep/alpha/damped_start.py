@@ -14,9 +14,9 @@ unresolved where |a| < 0.3 |a_0| in the norm of the largest entry, both with r a
 
 that is from c h = 4.6 on, rho_inf = 0.8. A vibration that h does not resolve stays what the scheme makes of it: it goes on in the
 body, and runs with other steps have to tell it as an error. Units and sizes of loads have no part in this, and where h resolves
-the motion |a_0 - a| is O(h). What moves places, ck |a_0|, by less than Newton's iteration may leave open counts as none: forces at
-roundoff shake stiff bodies at rest. What is left of it may be less: where a damper alone holds a body, all of h^2 a_0 stays. A
-start is damped for four steps, each of which leaves a fifth at most of what is far faster than the step, and until half of an
+the motion |a_0 - a| is O(h). What moves places, ck |a_0|, by less than Newton's iteration may leave open counts as none: forces
+at roundoff shake stiff bodies at rest. What is left of it may be less: where a damper alone holds a body, all of h^2 a_0 stays.
+A start is damped for four steps, each of which leaves a fifth at most of what is far faster than the step, and until half of an
 acceleration is left.
 
 Until a start is resolved its steps are those of the diagonally implicit method of two stages, g = 1 - 1/sqrt(2),
