@@ -6,6 +6,7 @@
 
 #include <complex.h>
 #undef I
+#include <float.h>
 #include <math.h>
 #include <string.h>
 
@@ -322,6 +323,7 @@ typedef struct {
 typedef struct {
     int pivots, rows, ld, next;
     int apart;                         /* whether it is an attitude with the rows that hold it, see tables/tables.py */
+    int firm;                          /* whether some of its rows stand beside bodies with a weight, see factor.c */
     long start;                        /* of its columns in the storage */
     int *unknown;                      /* rows */
     int *to;                           /* rows - pivots: their rows in the next front */
@@ -353,6 +355,7 @@ typedef struct {
     double *frames, *velocity, *residual;
     double *gap, *motion, *gravity, *weight, *diagonal;
     double *locked;                    /* rows: 1 for those that the last factor has found no pivot for */
+    double *firm;                      /* 2 x rows: weights of rows beside the bodies that they hold; these times what is asked of them */
     int *row_dest;                     /* diagonal places of the rows */
     long storage;
     double *L, *inverse, *b, *local;

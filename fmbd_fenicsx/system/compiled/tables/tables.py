@@ -294,7 +294,7 @@ class Tables(TableLayout):
             "L": self.fronts.storage + 8, "lossy": (parts - 1) * self.fronts.storage + 8, "diagonal": size,
             "inverse": parts * size, "b": parts * size, "local": parts * size + 8,
             "work": once + s.n_v + self.rows + SECANTS * (2 * s.n_v + self.rows),
-            "directions": (CLOSING + 2) * parts * self.rows,
+            "firm": 2 * self.rows, "directions": (CLOSING + 2) * parts * self.rows,
             "big": (2 * self.twist + 1) * sides * widest + size,
             **dict.fromkeys(("gap", "slip", "weight", "locked", *MOTIONS), self.rows),
             "frames": (self.nb + 1 + len(self.surfaces), FRAME[self.dim]), **{name: len(x) for name, x in given.items()},

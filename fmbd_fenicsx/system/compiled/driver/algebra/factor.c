@@ -142,6 +142,43 @@ static int stands_out(const System *s, double pivot, int u, const Front *f)
     return u >= s->nu && !s->redundant && pivot > OWN * made_of(s, u, f);
 }
 
+/* Whether gears or springs have added so much to unknown k of a front that the body's own inertia is roundoff beside it. */
+static int is_swamped(const System *s, const Front *f, int k)
+{
+    const int u = f->unknown[k];
+    return u < s->nu && DBL_EPSILON * s->L[f->start + (long)(f->ld + 1) * k] > OWN * s->diagonal[u];
+}
+
+/* The largest w with which w g^T g of row r makes no diagonal entry more than twice as large; 0 where the row acts on others than the
+   front's bodies, or on one that is not swamped. */
+static double firmness(const System *s, const Front *f, int r)
+{
+    const double *F = s->L + f->start;
+    double w = INFINITY;
+    for (int k = 0; k < f->rows; k++) {
+        const double g = k < r ? F[(long)f->ld * k + r] : F[(long)f->ld * r + k];
+        if (g == 0.0) continue;
+        if (k >= r || !is_swamped(s, f, k)) return 0.0;
+        w = fmin(w, F[(long)(f->ld + 1) * k] / (g * g));
+    }
+    return w < INFINITY ? w : 0.0;
+}
+
+/* What a train of gears adds to a wheel, c a a^T along its axis a, swamps the inertia across where a is tilted: rows g x = b that hold the
+   wheel there lose their pivots. With w g^T g beside it the matrix is sound: x stays, the multiplier is less by w b. */
+static void firm_up(System *s, Front *f)
+{
+    double *F = s->L + f->start;
+    f->firm = 0;
+    for (int k = 0; k < f->pivots; k++) f->firm |= is_swamped(s, f, k);
+    for (int r = 0; r < f->pivots && f->firm; r++) {
+        if (f->unknown[r] < s->nu) continue;
+        const double w = s->firm[f->unknown[r] - s->nu] = firmness(s, f, r);
+        for (int j = 0; j < r && w > 0.0; j++)
+            for (int i = j; i < r; i++) F[(long)f->ld * j + i] += w * F[(long)f->ld * j + r] * F[(long)f->ld * i + r];
+    }
+}
+
 /* SINGULAR when a pivot has the wrong sign, where bodies are stable, or is small against what it is made of. Rows without a pivot
    are left out then, so that all of them are known: they depend on others, or what comes later locks them, see order.py. */
 static int factor(System *s)
@@ -155,6 +192,7 @@ static int factor(System *s)
 
         double *F = s->L + f->start, inverse[PANEL];
         const int ld = f->ld;
+        firm_up(s, f);
         for (int k = 0; k < f->pivots; k++) {
             const int u = f->unknown[k], at = k % PANEL, end = k - at + PANEL < f->pivots ? k - at + PANEL : f->pivots;
             double sign = s->sign[u], pivot = F[(long)(ld + 1) * k] * sign;
@@ -252,6 +290,8 @@ static inline void forward(System *s, const Front *f, double *b)
     const double *F = s->L + f->start;
     double *x = s->local;
     for (int i = 0; i < f->rows; i++) x[i] = b[f->unknown[i]];
+    for (int i = 0; i < f->pivots && f->firm; i++)
+        if (f->unknown[i] >= s->nu) s->firm[s->rows + f->unknown[i] - s->nu] = s->firm[f->unknown[i] - s->nu] * x[i];
 
     for (int k = 0; k < f->pivots; k++) {
         const lanes *column = (const lanes *)(F + (long)f->ld * k);
@@ -286,6 +326,8 @@ static inline void backward(System *s, const Front *f, double *b)
         for (int i = (near * LANES < f->rows ? near * LANES : f->rows) - 1; i > k; i--) sum += column[i] * x[i];
         b[u] = x[k] = (b[u] - sum) * s->inverse[u];
     }
+    for (int i = 0; i < f->pivots && f->firm; i++)
+        if (f->unknown[i] >= s->nu) b[f->unknown[i]] += s->firm[s->rows + f->unknown[i] - s->nu];
 }
 
 /* b <- solution for the right-hand side b, in the order of the unknowns. */
