@@ -13,6 +13,7 @@ from ..schemes.stepping import Observers, TimeStepper
 from ..system.serialisation import Memory
 from .judges.acceptance import Closed
 from .judges.force_balance import next_look
+from .recording.output import MOST
 from .recording.recorder import Recorder
 from .schedule import StepSchedule
 
@@ -53,11 +54,12 @@ class CompiledCalls:
         self.shown = recorder.output.on_step is not None
         self.local_error = 0.0  # the largest that the stepper told after a call of the newest march
         self._began: State | None = None  # where the step before did, where forces are smooth since then
-        self._last = 0.0  # s, when the last of the steps that are counted may begin
+        self._last = np.inf  # s, when the last step may begin before one that somebody waits for
 
     def make(self, done: int, most: int) -> int:
         """How many steps, at most so many, were made behind those that are done; 0 where they have to be made one by one."""
         watched = self.shown or self.events is not None
+        self._last = np.inf
         self._bound()
         if self.shown and not self.equal:
             return 0
@@ -70,12 +72,15 @@ class CompiledCalls:
         alone = watched and not self._told_of_events(tape)  # each is looked at
         if alone and not self.equal:
             return 0
-        steps = min(self._unseen(done, h, tape), 1 if alone else most)
+        unseen = self._unseen(done, h, tape)
+        steps = min(unseen, 1 if alone else most)
         if steps == 1 and tape is None and self.equal and not alone:
             return 0
 
         self._began = self.recorder.earlier
-        self._last, self.local_error = self.stepper.state.t + (steps - 1) * h, 0.0
+        self.local_error = 0.0
+        if unseen < MOST:
+            self._last = t + (unseen - 1) * h
         begin, made, chunk, more = clock.perf_counter(), 0, FIRST, True
 
         while more and made < steps and clock.perf_counter() - begin < CHUNK:
@@ -93,9 +98,9 @@ class CompiledCalls:
         return made
 
     def _bound(self) -> None:
-        """Tell a stepper that chooses its steps how long these may be, and where the next one has to end."""
+        """Tell a stepper that chooses its steps how long these may be, and where they have to end, or to begin at the latest."""
         if not self.equal:
-            self.stepper.unwrapped.bound(self.schedule.largest, self._ends(self.stepper.state.t))
+            self.stepper.unwrapped.bound(self.schedule.largest, self._ends(self.stepper.state.t), self._last)
 
     def _ends(self, t: float) -> tuple[float, ...]:
         """Where steps of the next march from a time on have to end, s."""
@@ -161,8 +166,6 @@ class CompiledCalls:
         """
         stepper = self.stepper
         self._bound()
-        if not self.equal:  # longer ones may have been made meanwhile
-            steps = min(steps, int((self._last - stepper.state.t) / h + 1e-6) + 1)
         joints = self.closed if self.closed.judging else None
         made = stepper.march(self._limit(stepper.state.t), steps, Observers(joints=joints, tape=tape))
         self.local_error = max(self.local_error, stepper.local_error)
@@ -176,7 +179,7 @@ class CompiledCalls:
                 tape.step_back(t)
             return made - 1, False
 
-        return made, bool(made) and (self.equal or not self._over(h))
+        return made, bool(made) and (self.equal or not self._over())
 
     def _looked_into(self, done: int, h: float, steps: int, tape: Tape | None) -> tuple[int, bool]:
         """The same with a look into the steps for events: where one is met inside of one, the call is made anew up to it."""
@@ -196,14 +199,12 @@ class CompiledCalls:
         tape.c.meets = met
         return self._march(done, h, steps, tape)
 
-    def _over(self, h: float) -> bool:
-        """Whether steps with error control, counted with a size of h (s), are to be counted anew: behind a break point, where the
-        next is longer, or would begin later than the last of these.
+    def _over(self) -> bool:
+        """Whether a march of steps with error control is over: behind a break point, where the next step would begin later than
+        the last one may.
         """
         t, schedule = self.stepper.state.t, self.schedule
-        if t > self._last or schedule.broken(t) is not None or schedule.ended(t, 0):
-            return True
-        return self.stepper.stride(self._limit(t)) > h
+        return t > self._last or schedule.broken(t) is not None or schedule.ended(t, 0)
 
     def _take(self, tape: Tape, done: int, alone: bool) -> bool:
         """Record a call behind the steps that were done; whether more may follow, without an event."""

@@ -32,7 +32,7 @@ class OwnMarch(MarchingStepper):
     control: StepControl
     proposed: float | None
     longest_stable: float = np.inf  # s, the most that its steps may be to be stable
-    _ahead: tuple[float, int]  # s that the steps of a call may take, and how many these are at most
+    _ahead: float  # s that the steps of a call may take
     _alone_now = False  # whether a step is made by itself, which may end where a controller samples
 
     def _take_kept(self, own: Array) -> None:
@@ -88,7 +88,7 @@ class OwnMarch(MarchingStepper):
             self._alone_now = False
 
     def _made(self, h: float, count: int, most: float, observers: Observers) -> int:
-        self._ahead = h, count
+        self._ahead = h
         return super()._made(h, count, most, observers)
 
     def _own_room(
@@ -106,7 +106,7 @@ class OwnMarch(MarchingStepper):
     def _lend_own(self, own: OwnRoom) -> None:
         """What error control has seen so far, and where the steps of a call end."""
         assert self.proposed is not None and self._used is not None
-        control, norm, (limit, count) = self.control, self.norm, self._ahead
+        control, norm, limit = self.control, self.norm, self._ahead
         control.span = max(control.span, limit)
         own.lend(norm.q_size, norm.v_size, norm.deflections)
         own.c.pause, own.c.since = control.pause, control.since
@@ -119,7 +119,7 @@ class OwnMarch(MarchingStepper):
         own.c.until = self._end(limit)
         own.c.longest, own.c.tiny = min(self.longest, self.longest_stable), control.tiny
         # whoever begins later passes what somebody waits for
-        own.c.last = self.state.t + (count - 1) * min(limit, self.proposed)
+        own.c.last = np.inf if self._alone_now else self.last
         self._used.parameters[CHOSEN] = True
 
     def _take_own(self, own: OwnRoom, made: int) -> None:

@@ -64,7 +64,8 @@ class TimeStepper(Remembering):
         counters: work so far and statistics, name -> number, for the report.
         path: who makes the steps, for the report.
         compiled_whole: its steps are compiled from end to end, and ask for no evaluations.
-        longest, ends: the most that a step of :meth:`march` may be, and when steps have to end (s), see :meth:`bound`.
+        longest, ends, last: the most that a step of :meth:`march` may be, when steps have to end, and until when they may begin
+            (s), see :meth:`bound`.
         passes_marks: steps of one :meth:`march` hit all ends up to the last one.
         keeps_memories: it moves the memory of elements on by itself, see :meth:`note`.
         recorded: the highest derivative of the motion that somebody reads, 2: accelerations and multipliers.
@@ -78,6 +79,7 @@ class TimeStepper(Remembering):
     compiled_whole: bool = False
     longest: float = inf
     ends: Sequence[float] = (-inf,)
+    last: float = inf
     passes_marks: bool = False
     keeps_memories: bool = False
     recorded: int = 0
@@ -122,11 +124,11 @@ class TimeStepper(Remembering):
         """
         return False
 
-    def bound(self, longest: float, ends: Sequence[float]) -> None:
+    def bound(self, longest: float, ends: Sequence[float], last: float = inf) -> None:
         """Of steps under error control: none of the next march is to be longer than that, and some have to end then, s, rising;
-        the march ends with the last of these.
+        the march ends with the last of these, and begins no step later than ``last``.
         """
-        self.longest, self.ends = longest, ends
+        self.longest, self.ends, self.last = longest, ends, last
 
     @property
     def until(self) -> float:

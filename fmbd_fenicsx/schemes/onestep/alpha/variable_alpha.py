@@ -273,7 +273,6 @@ class VariableAlpha(TimeStepper):
         assert self.proposed is not None
         level = self._chosen(self.proposed)
         size = self.stretch.size(level)
-        last = self.state.t + (steps - 1) * size
         steps = int(min(steps, whole_steps(self.system, self.state.t, size)))
         if steps <= 0:
             return 0
@@ -288,7 +287,7 @@ class VariableAlpha(TimeStepper):
             self.resized.held = kept
             return 0
 
-        control.lend(self.stretch, level, self.quiet, until=self.until, last=last)
+        control.lend(self.stretch, level, self.quiet, until=self.until, last=self.last)
         c = control.c
         c.proposed, c.size, c.error, c.peak = self.proposed, self.resized.size, self.error, self.peak
         made: int = self.inner.controlled(size, steps, control, observers)
