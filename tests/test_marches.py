@@ -13,7 +13,7 @@ from tolerance_scenes import swinging_rod
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import FmbdError
-from fmbd_fenicsx.run import single_run
+from fmbd_fenicsx.run import compiled_calls, single_run
 from fmbd_fenicsx.run.loads_ahead import LOOKED_AT
 from fmbd_fenicsx.schemes.marching import MarchingStepper
 from fmbd_fenicsx.schemes.onestep import explicit_limit
@@ -431,6 +431,16 @@ def test_a_largest_step_is_kept_within_a_call(
     assert once.times == pytest.approx(turn.times, rel=1e-6)
     assert once.state.q == pytest.approx(turn.state.q, rel=1e-8, abs=1e-9)
     assert calls < 0.1 * turn.counters["steps"]
+
+
+@compiled
+@pytest.mark.parametrize("times", [None, np.linspace(0.0, 0.5, 101)], ids=["ends", "instants"])
+def test_calls_go_on_where_steps_have_grown(times: Any, marches: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
+    """They ended where as many steps as were counted would have, had none grown: now by number alone, and by the clock."""
+    monkeypatch.setattr(compiled_calls, "CHUNK", np.inf)
+    made = fmbd.Output(times=times, progress=False)
+    run = fmbd.solve(joint_springs(3), t_end=0.5, scheme=fmbd.Radau(3, rtol=1e-9), output=made)
+    assert marches == [63, 192, run.counters["steps"] - 256]
 
 
 @pytest.mark.parametrize("shown", [None, lambda now: None], ids=["many in a call", "one by one"])
