@@ -192,6 +192,7 @@ def test_a_form_that_holds_the_coarse_mesh_is_told_when_that_is_refined(rod_mesh
     ("tol", "message"),
     [
         ({"tipp": 1e-3}, 'no sensor "tipp"'),
+        ({"x y": 1e-3}, 'no sensor "x y". A tolerance holds for all components of a sensor: tol={"x": 0.001}'),
         ({"x": 0.0}, "positive number in"),
         ({"x": -1.0}, "positive number"),
         ({"x": "fine"}, "positive number"),

@@ -1,13 +1,14 @@
 """Scenes that go on where a run has ended: joints are released, closed on what they find, locked; nothing else changes."""
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.errors import InputError
+from fmbd_fenicsx.errors import CheckpointError, InputError
 
 G = 9.81
 FINE = fmbd.Radau(3, rtol=1e-9)
@@ -253,3 +254,22 @@ def test_a_link_catches_a_mass_that_turns_with_it(first: str) -> None:
     wrong.add(fmbd.spherical("grip", link, stone, center=(0.9, 0.0)))
     with pytest.raises(InputError, match=r'Joint "grip" catches mass "stone" .* away from where the mass is'):
         fmbd.solve(wrong, t_end=2.0, dt=1e-2)
+
+
+@pytest.mark.serial
+def test_a_checkpoint_is_taken_up_by_the_scene_of_its_own_origin(tmp_path: Path) -> None:
+    """Neither by one that goes on from another time, nor by one that begins; the run of the checkpoint goes on as it was."""
+
+    def later(end: float) -> fmbd.Scene:
+        return fmbd.solve(meeting(2, True), t_end=end, dt=1e-2).next_scene()
+
+    def run(scene: fmbd.Scene, **options: Any) -> fmbd.Run:
+        return fmbd.solve(scene, t_end=0.9, dt=1e-2, **options)
+
+    whole = run(later(0.3), checkpoint=fmbd.Checkpoint(tmp_path, every=20))
+    for scene, found in ((later(0.6), "t = 0.6 s here"), (meeting(2, True), "absent here")):
+        with pytest.raises(
+            CheckpointError, match=f"from: t = 0.3 s in the checkpoint, {found}.*Restart with the scene"
+        ):
+            run(scene, restart=tmp_path)
+    assert np.array_equal(run(later(0.3), restart=tmp_path)["a"], whole["a"])

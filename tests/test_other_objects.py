@@ -101,7 +101,14 @@ def test_scenes_with_other_bodies_read_their_own_joints(read: Callable[..., obje
 
 @pytest.mark.parametrize("copied", [copy.deepcopy, pickle.dumps])
 def test_runs_and_steppers_say_what_to_keep_of_them(copied: Callable[[object], object]) -> None:
+    """So do equilibria and modes, whose states are data."""
     scene, *_ = pendulum()
+    rest = fmbd.equilibrium(scene)
+    with pytest.raises(InputError, match=r"Equilibrium: .* equilibrium\.state"):
+        copied(rest)
+    copied(rest.state)
+    with pytest.raises(InputError, match=r"Modes: .* modes\.shapes"):
+        copied(fmbd.modes(scene, 1, at=rest))
     with pytest.raises(InputError, match=r"Run: .* run\.series"):
         copied(fmbd.solve(scene, t_end=0.01, dt=0.005))
     with fmbd.stepper(scene, dt=0.01) as s, pytest.raises(InputError, match=r"SceneStepper: .* save\(\)"):

@@ -14,13 +14,23 @@ SYSTEM = SimpleNamespace(n_q=1, n_lam=0)
 SCENE = SimpleNamespace(sensors={"x": SimpleNamespace(unit="m")})
 
 
+class MadeUp(SimpleNamespace):
+    """A run of one sensor with one component."""
+
+    def __getitem__(self, name):
+        return self.series[name]
+
+    def components(self, name):
+        return [name]
+
+
 def made_up(order, size=1.0):
     """Runs of x' = 1 from 0 to 1 whose series has the error size h^order sin(t)."""
 
     def run(h):
         t = np.linspace(0, 1, round(1 / h) + 1)
         series = {"x": (t + size * h**order * np.sin(t))[:, None]}
-        return SimpleNamespace(
+        return MadeUp(
             times=t,
             series=series,
             system=SYSTEM,
@@ -77,6 +87,17 @@ def test_orders_of_a_pendulum_for_positions_velocities_and_multipliers():
     for name in table.errors:
         table.assert_order(name, 2.0)
         assert table.order(name) < 2.2
+
+
+def test_orders_of_a_component():
+    """Against a run, and against a function of its own name."""
+    fine = free_fall_pendulum(0.0025)
+    table = orders(free_fall_pendulum, [0.04, 0.02], reference=fine, names=["bob y", "bob"])
+    assert 0 < table.errors["bob y"][1] <= table.errors["bob"][1]
+    exact = {"bob y": lambda t: np.interp(t, fine.times, fine["bob y"])}
+    np.testing.assert_allclose(
+        orders(free_fall_pendulum, [0.04, 0.02], reference=exact).errors["bob y"], table.errors["bob y"], rtol=1e-12
+    )
 
 
 def test_table_as_text_and_markdown():

@@ -67,19 +67,21 @@ class _Trace:
     times: Array
     series: dict[str, Array]
     run: Run
+    known: Sequence[str]  # sensors and their components
 
     @classmethod
     def of(cls, run: Run) -> _Trace:
         require(hasattr(run, "series"), f"study: the function must return a run of fmbd.solve, found {shown(run)}.")
-        return cls(np.asarray(run.times), dict(run.series), run)
+        known = dict.fromkeys((*run.series, *(part for name in run.series for part in run.components(name))))
+        return cls(np.asarray(run.times), dict(run.series), run, tuple(known))
 
     def has(self, times: Array) -> Array:
         """Which instants are recorded, to 1e-9 of the end time."""
         return np.abs(self.times[self._rows(times)] - times) <= 1e-9 * self.times[-1]
 
     def values(self, name: str, times: Array) -> Array:
-        """A sensor at recorded instants."""
-        return self.series[name][self._rows(times)]
+        """A sensor, or a component, at recorded instants, (instants, size)."""
+        return self.run[name].reshape(len(self.times), -1)[self._rows(times)]
 
     def _rows(self, times: Array) -> np.ndarray:
         """The nearest to each."""
@@ -92,6 +94,11 @@ class _Functions:
 
     series: Exact
     run: None = None
+
+    @property
+    def known(self) -> Sequence[str]:
+        """What they are of."""
+        return tuple(self.series)
 
     def has(self, times: Array) -> Array:
         """All of them."""
@@ -117,7 +124,7 @@ def _errors(trace: _Trace, reference: _Trace | _Functions, times: Array, names: 
     """
     found = {}
     for name in names:
-        if name in trace.series:
+        if name in trace.known:
             found[name] = float(np.abs(trace.values(name, times) - reference.values(name, times)).max())
         else:
             assert reference.run is not None
@@ -134,16 +141,17 @@ def _state_error(run: Run, reference: Run, name: str) -> float:
 
 def _names(traces: Sequence[_Trace], reference: _Trace | _Functions, wanted: Sequence[str] | None) -> list[str]:
     """Quantities to compare: those asked for, else all that runs and reference share."""
-    shared = [name for name in traces[0].series if name in reference.series]
+    shared = [name for name in traces[0].known if name in reference.series]
     if reference.run is not None:
         systems = [run.system for run in (reference.run, *(trace.run for trace in traces))]
         if len({(system.n_q, system.n_lam) for system in systems}) == 1:
             shared += [name for name in STATE if name not in shared]
     if not traces[0].run.system.n_lam and "lam" in shared:
         shared.remove("lam")
+    known = dict.fromkeys((*shared, *(name for name in traces[0].known if name in reference.known)))
     for name in wanted or ():
-        if name not in shared:
-            raise InputError(f'Study: "{name}" cannot be compared with the reference. {near(name, shared)}')
+        if name not in known:
+            raise InputError(f'Study: "{name}" cannot be compared with the reference. {near(name, known)}')
     require(bool(shared), "Study: the runs and the reference have no sensor in common.")
     return list(wanted) if wanted else shared
 
@@ -216,8 +224,8 @@ def orders(
         values: at least two, falling; steps that divide each other compare at all instants of the coarsest.
         reference: a finer run, or exact functions of time by sensor name; None runs values[-1] / 8, whose own
             error makes the observed order of a second-order scheme 0.02 too large.
-        names: quantities to compare; by default all sensors, and "q", "v", "lam" of the last state where
-            sizes agree.
+        names: quantities to compare, sensors or components, "tip y"; by default all sensors, and "q", "v", "lam" of
+            the last state where sizes agree.
 
     Raises:
         InputError: the values are steps, and the scheme chooses its own (rtol).

@@ -19,9 +19,9 @@ from ..system.scene.going_on import Origin
 from ..system.scene.plan import Plan
 from ..system.scene.scene import Scene
 from ..system.system import System
+from ..uncopied import Uncopied
 from .accuracy.deviation import Deviation, sizes
 from .recording.ledger import Books, Ledger, make_ledger
-from .uncopied import Uncopied
 
 if TYPE_CHECKING:
     from ..post.drawing.view import Paint, View

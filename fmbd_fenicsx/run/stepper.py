@@ -30,6 +30,7 @@ from ..system.layout import State
 from ..system.scene.alike import alike, values_of_inputs
 from ..system.scene.scene import Scene
 from ..system.serialisation import Memory
+from ..uncopied import Uncopied
 from .checkpoints.progress import RunProgress
 from .judges.acceptance import accept_step, attempt_judged
 from .judges.energy_check import closed
@@ -40,7 +41,6 @@ from .recording.output import Output
 from .recording.recorder import Recorder
 from .schedule import StepSchedule, far_side, near_side
 from .settings import check_contents, default_scheme
-from .uncopied import Uncopied
 
 SAME = 1e-9  # of a step: times that are nearer are one
 

@@ -10,7 +10,7 @@ fmbd.equilibrium(scene, path=LoadSteps((0.5, 1.0))) under the loads of t = 0.5 s
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -33,6 +33,7 @@ from ...system.small_turns import HalfTurns, SmallTurns
 from ...system.speed_rows import speed_rows
 from ...system.spins import Spins
 from ...system.system import System
+from ...uncopied import Uncopied
 from ..small_motions.steady import MOUNTS, BodySpin, Residual, Spin, body_spin
 from .arc_length import ArcLength, Path
 from .load_steps import LoadSteps
@@ -45,7 +46,7 @@ CHANGED = 1e-6  # increment, over the model's length, and speed, over that of th
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Equilibrium:
+class Equilibrium(Uncopied):
     """A scene in equilibrium; sensors are read with ``equilibrium["name"]``.
 
     Attributes:
@@ -53,6 +54,10 @@ class Equilibrium:
         path: the points of a path of equilibria, None for a single one.
         counters: Newton iterations, iterations on the exact tangent, factorisations.
     """
+
+    instead: ClassVar[str] = (
+        'Keep what you need of it, equilibrium.state and values of sensors, equilibrium["name"], or find it again in its place.'
+    )
 
     scene: Scene
     system: System

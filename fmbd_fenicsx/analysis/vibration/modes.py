@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -31,6 +31,7 @@ from ...system.scene.alike import alike
 from ...system.scene.scene import Scene
 from ...system.speed_rows import speed_rows
 from ...system.system import System
+from ...uncopied import Uncopied
 from ..small_motions.basis import EXACT, ProjectedSystem, projected
 from ..small_motions.first_order import first_order, slowest
 from ..small_motions.perturbation import Perturbation
@@ -61,7 +62,7 @@ class AtState(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Modes:
+class Modes(Uncopied):
     """Modes of a scene, the slowest first; conjugate pairs once.
 
     Attributes:
@@ -69,6 +70,8 @@ class Modes:
         shapes: (n, n_v) complex increments of the configuration, largest displacement 1 m (this rank's nodes).
         about: the state they are about. ``markers``: of the scene's sensors.
     """
+
+    instead: ClassVar[str] = "Keep what you need of them, modes.eigenvalues, modes.shapes and modes.about."
 
     scene: Scene
     system: System

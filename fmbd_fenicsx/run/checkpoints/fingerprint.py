@@ -27,6 +27,8 @@ NOTHING = 1e-6  # of the largest force: what is smaller is measured by this, SAM
 def given(scene: Scene, system: System, settings: dict[str, Any]) -> dict[str, str]:
     """What was given, as text: name -> value."""
     out = {name: text_of(value) for name, value in described(scene, **settings).items()}
+    if scene.origin is not None:
+        out["goes on, as next_scene() of a run, from"] = f"t = {scene.begins:.9g} s"
     for _, part in system.fields:
         out[f'unknowns of "{part.name}"'] = str(part.field.n_global)
     out["constraint rows"] = ", ".join(f"{b.name} ({b.rows.stop - b.rows.start})" for b in system.blocks)

@@ -77,7 +77,9 @@ def check_tolerances(scene: Scene, tol: Tolerance) -> None:
     for name, value in tol.items():
         require(isinstance(name, str), f"tol: {name!r} is no name of a sensor: tol={{'tip': 1e-4}}.")
         if name not in scene.sensors:
-            raise InputError(f'tol: no sensor "{name}". {near(name, scene.sensors)}')
+            whole = next((sensor for sensor in scene.sensors if name.startswith(f"{sensor} ")), None)
+            hint = whole and f'A tolerance holds for all components of a sensor: tol={{"{whole}": {value!r}}}.'
+            raise InputError(f'tol: no sensor "{name}". {hint or near(name, scene.sensors)}')
         if isinstance(value, Relative):
             continue
 

@@ -1,11 +1,11 @@
-"""Runs and steppers are no data: what to keep of them in place of a copy, and what they have."""
+"""Runs, steppers, equilibria and modes are no data: what to keep of them in place of a copy, and what they have."""
 
 from __future__ import annotations
 
 from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from ..errors import InputError
+from .errors import InputError
 
 
 class Uncopied:
