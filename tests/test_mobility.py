@@ -597,6 +597,24 @@ def test_conditioning_of_two_distances_at_a_small_angle() -> None:
 TILTED = (0.3, 0.5, 1.0)
 
 
+def train(ratios: list[float], axis: Any = None) -> fmbd.Scene:
+    """Wheels in a row, each turned by the one before with a ratio; in the plane, or in space about an axis."""
+    plane, along = axis is None, {} if axis is None else {"axis": axis}
+    scene = fmbd.Scene("train", gravity=(0.0, 0.0) if plane else (0.0, 0.0, 0.0))
+    before: Any = None
+    for i in range(len(ratios) + 1):
+        place = (float(i), 0.0) if plane else (float(i), 0.0, 0.0)
+        wheel = fmbd.RigidBody(f"wheel {i}", 1.0, 0.1 if plane else 0.1 * np.eye(3), place)
+        pin = fmbd.revolute(f"pin {i}", fmbd.ground, wheel, center=place, **along)
+        scene.add(wheel, pin)
+        if before is not None:
+            scene.add(fmbd.gear(f"gear {i}", fmbd.angle(before), fmbd.angle(pin), ratio=-ratios[i - 1]))
+        before = pin
+    for i in (0, len(ratios)):
+        scene.sensor(f"turn {i}", fmbd.angle(scene.joints[f"pin {i}"]))
+    return scene
+
+
 @pytest.mark.parametrize(
     ("wheels", "total", "axis"),
     [(15, 1e-7, None), (110, 1e-7, None), (20, 1e-20, None), (1, 1e-12, None), (9, 1e-9, TILTED), (12, 1e-12, TILTED)],
@@ -605,26 +623,29 @@ def test_a_train_that_reduces_and_comes_back_moves_as_one(wheels: int, total: fl
     """Gears r, .., r, 1/r, .., 1/r: all wheels count on the first shaft, J = J_0 sum r^(2 k), however slow the middle one is."""
     ratio = total ** (1.0 / wheels)
     slow = [min(i, 2 * wheels - i) for i in range(2 * wheels + 1)]
-    plane, along = axis is None, {} if axis is None else {"axis": axis}
-    scene = fmbd.Scene("train", gravity=(0.0, 0.0) if plane else (0.0, 0.0, 0.0))
-    before: Any = None
-    for i in range(len(slow)):
-        place = (float(i), 0.0) if plane else (float(i), 0.0, 0.0)
-        wheel = fmbd.RigidBody(f"wheel {i}", 1.0, 0.1 if plane else 0.1 * np.eye(3), place)
-        pin = fmbd.revolute(f"pin {i}", fmbd.ground, wheel, center=place, **along)
-        scene.add(wheel, pin)
-        if before is not None:
-            r = ratio if i <= wheels else 1.0 / ratio
-            scene.add(fmbd.gear(f"gear {i}", fmbd.angle(before), fmbd.angle(pin), ratio=-r))
-        before = pin
-    push = 0.3 if plane else 0.3 * np.array(axis) / np.linalg.norm(axis)
+    scene = train([ratio] * wheels + [1.0 / ratio] * wheels, axis)
+    push = 0.3 if axis is None else 0.3 * np.array(axis) / np.linalg.norm(axis)
     scene.add(fmbd.torque("push", scene.bodies["wheel 0"], lambda t: push))
-    for i in (0, 2 * wheels):
-        scene.sensor(f"turn {i}", fmbd.angle(scene.joints[f"pin {i}"]))
 
     assert scene.check().redundant == 0
     run = fmbd.solve(scene, t_end=0.1, dt=0.01, output=fmbd.Output(progress=False))
     turn = 0.5 * 0.3 / (0.1 * sum(ratio ** (2 * k) for k in slow)) * 0.1**2
     assert run["turn 0"][-1] == pytest.approx(turn, rel=1e-12)
     assert run[f"turn {2 * wheels}"][-1] == pytest.approx(turn, rel=1e-12)
+    assert run.counters["compiled_steps"] == run.counters["steps"]
+
+
+@pytest.mark.parametrize("axis", [None, TILTED])
+@pytest.mark.parametrize("wheels", [4, 8])
+def test_a_drive_on_the_slow_wheel_of_a_train_moves_all(wheels: int, axis: Any) -> None:
+    """The ends turn by 5 t^2, the moment of the drive is that on them over what the train reduces by."""
+    total = 0.1**wheels
+    scene = train([0.1] * wheels + [10.0] * wheels, axis)
+    scene.add(fmbd.drive("motor", fmbd.angle(scene.joints[f"pin {wheels}"]), lambda t: 5.0 * total * t**2))
+    scene.sensor("moment", fmbd.reaction("motor"))
+    run = fmbd.solve(scene, t_end=0.1, dt=0.01, output=fmbd.Output(progress=False))
+    inertia = 0.1 * sum(0.01 ** min(i, 2 * wheels - i) for i in range(2 * wheels + 1))
+    for i in (0, 2 * wheels):
+        assert run[f"turn {i}"][-1] == pytest.approx((-1) ** wheels * 0.05, rel=1e-12)
+    assert abs(run["moment"][-1]) == pytest.approx(10.0 * inertia / total, rel=1e-8)
     assert run.counters["compiled_steps"] == run.counters["steps"]

@@ -4,8 +4,10 @@ Unknowns are grouped in *nodes*: the rates of one body, or the rows of the const
 is grown from the ground; the rows of a joint of the tree are eliminated with the body it leads to, which leaves a positive
 pivot for that body and a negative one for each row. So is a row that couples the coordinate of this joint with others, with the
 first of its bodies: a train of gears is eliminated from its ends, and all that wheels add to the next ones is positive, however
-far gears reduce. Rows that close a loop, or couple more, come after all their bodies. Among what may come next, the group with
-the fewest neighbours is taken (minimum degree): chains and trees fill nothing, the work is proportional to their length.
+far gears reduce. A wheel that a drive holds comes behind the others: what is left of it, nothing, is roundoff of its own
+inertia, in which a slower part of the train is lost. Rows that close a loop, or couple more, come after all their bodies. Among
+what may come next, the group with the fewest neighbours is taken (minimum degree): chains and trees fill nothing, the work is
+proportional to their length.
 
 Where the bodies of a loop are in line, what comes later may lock them while it stands: such a row has no pivot though it depends
 on no other. It then comes after all bodies of its loop but the one that leads to the others: what is eliminated before it hangs
@@ -132,6 +134,8 @@ class Elimination:
 
         led = joint_tree(n, groups)
         self.couplings = {b: [n + g for g in these] for b, these in couplings_of(widths, groups, led).items()}
+        coupled = {body for group in groups if group.coupling for body in group.bodies}
+        self.held = {b for b in coupled if sum(len(groups[g].rows) for g in led[b]) >= widths[b]}
         self.units = [[b, *(n + g for g in led[b])] for b in range(n)]
         self.unit_of = {node: u for u, unit in enumerate(self.units) for node in unit}
         self.waiting = [0] * n
@@ -180,9 +184,9 @@ class Elimination:
                     heapq.heappush(heap, (self._degree(v), v))
         return out
 
-    def _degree(self, u: int) -> int:
-        """Unknowns that a group is coupled with."""
-        return sum(self.widths[x] for x in self._around(self._unit(u)))
+    def _degree(self, u: int) -> tuple[bool, int]:
+        """Unknowns that a group is coupled with, behind whether it is a coupled body that is held."""
+        return self.units[u][0] in self.held, sum(self.widths[x] for x in self._around(self._unit(u)))
 
     def _unit(self, u: int) -> list[int]:
         """A group, of a body with the first coupling that is left for it: the last body of a train has none."""
