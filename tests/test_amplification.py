@@ -9,6 +9,7 @@ import pytest
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.linear.condensation import StepSolver
+from fmbd_fenicsx.schemes.multistep import amplification
 from fmbd_fenicsx.schemes.multistep.amplification import GROWTH, RESOLVED, Amplification, spans_of, vibrations
 
 FORMULAS = {  # y_n+1, y_n, ..: h y'
@@ -133,3 +134,16 @@ def test_compiled_code_takes_the_same_orders(rtol: float, monkeypatch: pytest.Mo
     turn = run()
     assert once.counters == turn.counters
     assert once.state.q == pytest.approx(turn.state.q, rel=1e-7, abs=1e-8)
+
+
+def test_runs_that_begin_alike_look_at_their_first_vibrations_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All runs of a call with a tolerance looked at them, each in its third step, which ended a march."""
+    seen: list[float] = []
+    noted = lambda solver, state: (seen.append(state.t), vibrations(solver, state))[1]  # noqa: E731
+    monkeypatch.setattr(amplification, "vibrations", noted)
+    scene = spring_and_mass(0.0)
+    mass = next(iter(scene.bodies.values()))
+    scene.add(fmbd.force("push", mass, lambda t: (1e3 * np.sin(100.0 * t), 0.0)))
+    scene.sensor("place", fmbd.position(mass))
+    fmbd.solve(scene, t_end=0.1, scheme=fmbd.BDF(), tol={"place": fmbd.relative(1e-2)})
+    assert seen.count(0.0) == 1 and min(seen[1:], default=1.0) > 1e-3

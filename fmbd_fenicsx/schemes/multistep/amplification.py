@@ -57,10 +57,17 @@ class Amplification(Remembering):
         self.spans: dict[int, Array] = {}
 
     def look(self, order: int, state: State) -> None:
-        """Take notice of the vibrations about a state where a step of at most this order begins, if they are due; collective."""
-        if order <= STABLE or self.uses < self.most:
+        """Take notice of the vibrations about a state where a step of at most this order begins, if they are due, and about the
+        first one; those of the latter are kept with the system, as runs with other tolerances begin there; collective.
+        """
+        if self.spans and (order <= STABLE or self.uses < self.most):
             return
-        rates = vibrations(self.solver, state)
+        cache = self.solver.system.cache
+        begin, rates = cache.get("vibrations", (None, None))
+        if begin is not state:
+            rates = vibrations(self.solver, state)
+            if not self.spans:
+                cache.setdefault("vibrations", (state, rates))
         spans = {k: spans_of(k, rates) for k in range(STABLE + 1, HIGHEST + 1)}
         stay = bool(self.spans) and all(_alike(x, self.spans[k]) for k, x in spans.items())
         self.most = min(2 * self.most, RARER * RENEWAL) if stay else RENEWAL

@@ -50,7 +50,8 @@ class OrderChoice(Remembering):
 
     def look(self, state: State) -> None:
         """Take notice of vibrations about the state, which the next order must not amplify, if that is due; collective."""
-        self.amplification.look(min(self.k + 1, self.highest), state)
+        if self.highest > STABLE:
+            self.amplification.look(min(self.k + 1, self.highest), state)
 
     def refused(self, rejections: int) -> None:
         """A step is refused, for that many times: after several a lower order is taken, whose past is shorter."""
