@@ -42,6 +42,22 @@ def test_what_slides_is_refused_by_name() -> None:
         fmbd.equilibrium(fallen((0.1, 0, 1)))
 
 
+@pytest.mark.parametrize("k", [20.0, 0.2])
+@pytest.mark.parametrize("x", [0.0, 0.4])
+def test_a_soft_spring_pulls_along_a_floor(x: float, k: float) -> None:
+    """It hangs over the place where the ball comes to rest and takes a part of its weight; inertia is stiffer than it is."""
+    ball = fmbd.RigidBody("ball", 1.0, 0.004, (x, 0.11))
+    scene = fmbd.Scene("pulled", gravity=(0.0, -9.81))
+    floor = fmbd.Obstacle("floor", fmbd.HalfSpace((0, 0), (0, 1)))
+    scene.add(ball, fmbd.contact("land", fmbd.contacts.ball(ball, 0.1), floor))
+    scene.add(fmbd.Spring("soft", fmbd.ground, ball, (0.5, 0.5), stiffness=k, length=0.3))
+    scene.sensor("place", fmbd.position(ball))
+    scene.sensor("force", fmbd.contact_force("land"))
+    found = fmbd.equilibrium(scene)
+    assert found["place"] == pytest.approx((0.5, 0.1), abs=1e-9)
+    assert found["force"] == pytest.approx((0.0, 9.81 - 0.1 * k), abs=1e-7)
+
+
 def test_what_rests_on_a_floor_is_not_free() -> None:
     """Of a ball that only its floor holds up and a body that slides down along a rail, the latter is named."""
     scene = fallen((0, 0, 1), height=0.1)

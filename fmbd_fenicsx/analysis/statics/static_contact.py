@@ -45,6 +45,8 @@ BALANCED = 1e-8  # forces left over, over the largest contact force, below which
 CLOSE = 1e-2  # gap, over the model's length, up to which a point is a candidate anyhow
 FAR = 3.0  # gap, over the length of an increment, beyond which a point cannot be met by it
 SHORTER = 12  # times that the time step of (2) is shortened
+SLOW = 0.5  # share of an increment (2) that is left behind it, from which on its time step becomes longer
+LONGER = 3.0  # by which factor
 CHANGES = 6  # of the set of closed points in one increment
 
 
@@ -223,6 +225,14 @@ class ContactNewton(StaticNewton):
     # -- the iteration ----------------------------------------------------------------------------------------------
     def solve(self, start: StaticPoint, t: float, rest: Pair) -> StaticPoint:
         """The point where the residuals of (1) equal ``rest``; ConvergenceError where the iteration ends elsewhere."""
+        usual = self.weights
+        try:
+            return self._iterated(start, t, rest)
+        finally:
+            self.weights = usual
+
+    def _iterated(self, start: StaticPoint, t: float, rest: Pair) -> StaticPoint:
+        """The same; the time step of (2) may be left longer."""
         system = self.residual.system
         here = self.look(start, t, rest)
         before = np.inf
@@ -244,14 +254,37 @@ class ContactNewton(StaticNewton):
                 ended = size <= self.tolerance * system.length or stalled
                 if ended and there.size <= 1e-6 * system.length:
                     return self._with_forces(there)
-                here, before = there, size
+                here, before = self._less_held(here, there, t, rest), size
                 continue
 
             # else an increment that is not too long for the contacts found
             share = min(1.0, LONGEST * system.length / max(here.size, 1e-300))
-            here = self.look(self._moved(here.point, here.step, share), t, rest)
-            before = np.inf
+            there = self.look(self._moved(here.point, here.step, share), t, rest)
+            here, before = self._less_held(here, there, t, rest) if share == 1.0 else there, np.inf
         raise ConvergenceError(f"increments of {here.size:.1e} m with contact")
+
+    def _less_held(self, here: Touching, there: Touching, t: float, rest: Pair) -> Touching:
+        """The place after an increment (2), looked at with a longer time step where inertia held the increment up, not springs.
+
+        Springs of stiffness k leave the share s = 1 / (1 + k tau^2 / m) of it, and a way of s / (1 - s) of it. What is free to
+        move leaves all: of a way beyond the model's length nothing is known, nor of roundoff.
+        """
+        left, size = there.size / here.size, there.size / self.residual.system.length
+        touching = here.force.any() and there.force.any()
+        if not touching or not SLOW < left < 1.0 or not FLOOR < size <= 1.0 - left:
+            return there
+
+        usual = self.weights
+        self.weights = Weights(usual.cm / LONGER**2, 0.0, 1.0)
+        try:
+            longer = self.look(there.point, t, rest)
+            # springs in compression may push further without inertia
+            if longer.size <= LONGER**2 * there.size and self.solver.weights == self.weights:
+                return longer
+        except LinearSolveError:  # singular to roundoff
+            pass
+        self.weights = usual
+        return self.look(there.point, t, rest)
 
     def _left_over(self, here: Touching) -> float:
         """Forces that nothing balances, over the largest contact force; infinite where gaps or joints are not closed."""
