@@ -202,11 +202,18 @@ class Recorder:
             return
         if self.newest == n:  # on tape
             return
-        told = self.told_of(state)
-        if told is not None and n % self.output.every == 0:
+        due, told = n % self.output.every == 0, self.told_of(state)
+        if told is None and due and n and seen is None and stepper is not None:
+            told = self._told_at(state, stepper)
+        if told is not None and due:
             self.take_tape(told, n - 1)
         else:
             self._record(n, state, seen)
+
+    def _told_at(self, state: State, stepper: TimeStepper) -> Recorded | None:
+        """What compiled code tells of the end of a step that was made alone; None where it does not tell it."""
+        tape = stepper.tape(self.drift.openness) if self.on_tape else None
+        return None if tape is None or tape.kept is None else tape.kept.told_at(state)
 
     def arrive(self, summed: State, state: State) -> None:
         """The end of the last step, whose time was ``summed``, has the time of the run's end."""

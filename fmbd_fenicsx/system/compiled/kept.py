@@ -142,11 +142,25 @@ class Kept:
 
     def told_of(self, states: States, steps: KeptSteps) -> Recorded | None:
         """Records of states within steps, as compiled code tells them; None where NumPy has something to say."""
+        self._tape.hold(len(steps.t))
+        self._tape.take_own(steps.own, states)
+        return self._recorded(states, ends=False)
+
+    def told_at(self, state: State) -> Recorded | None:
+        """The record of the end of a step that was made alone, with memories as they are now; None where NumPy has something to
+        say, or contacts have.
+        """
+        if self._tape.arrays["contact"].size:
+            return None
+        self._tape.hold(1)
+        self.tables.recall()
+        return self._recorded(States.of([state]), ends=True)
+
+    def _recorded(self, states: States, *, ends: bool) -> Recorded | None:
+        """Records of states, of ``ends`` of steps or within."""
         blocks, tape = _blocks_of(self.tables.twin, states), self._tape
-        tape.hold(len(blocks))
-        tape.take_own(steps.own, states)
         system = ctypes.addressof(self.tables.c)
-        if self.library.driver_record(system, tape.address, len(blocks), address_of(blocks)):
+        if self.library.driver_record(system, tape.address, ends, len(blocks), address_of(blocks)):
             self.calls.forget_error()  # who reads them one by one meets it again
             return None
         return tape.recorded()

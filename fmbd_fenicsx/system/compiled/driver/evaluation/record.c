@@ -248,8 +248,9 @@ double *keep_between(const System *s, Kept *o, const double *begin, const double
     return newest + size;
 }
 
-/* Records of so many states between the ends of steps, one block behind the other: their joints are as open as polynomials leave them. */
-EXPORT int driver_record(System *s, Tape *tape, long count, double *block)
+/* Records of so many states, one block behind the other; ``judged``: as ends of steps are, where joints of states between are as open
+   as polynomials leave them. */
+EXPORT int driver_record(System *s, Tape *tape, int judged, long count, double *block)
 {
     double last = NAN;
     const long size = 1 + s->nq + 3 * (long)s->nv + s->rows;
@@ -257,7 +258,7 @@ EXPORT int driver_record(System *s, Tape *tape, long count, double *block)
     for (long i = 0; i < count; i++, block += size) {
         const Block now = block_at(s, block);
         if ((verdict = sample(s, *now.t, &last)) || (verdict = place(s, now.q, now.v))) return verdict;
-        if ((verdict = record(s, tape, &now, NULL, 0))) return verdict;
+        if ((verdict = record(s, tape, &now, NULL, judged))) return verdict;
     }
     return DONE;
 }
