@@ -31,6 +31,7 @@ OWN = [fmbd.Radau(3, rtol=1e-6), fmbd.BDF(rtol=1e-6), fmbd.HalfExplicit(rtol=1e-
 AROUND, EACH = 15.0, 18.0  # calls of a step that asks for nothing, and for each time that a function is asked
 LOOKS = 60.0  # calls of a step where looks at a run, once in some hundred steps, fall into short ones
 SAMPLE = 725.0  # calls of a sample of four controllers, with the new start behind it
+RECORDED = 600.0  # calls of a sample of one controller, with the record there and those of equal steps up to it
 BETWEEN = 150.0  # calls of one of ten steps and more of a scheme's own choice a sample, or under an event
 DT = 2e-3  # s
 
@@ -227,6 +228,21 @@ def test_calls_of_a_sample(scheme: Any) -> None:
     """A sample is taken between calls of compiled code; its efforts are read there without one, and the new start is one."""
     found, _ = calls_a_step(lambda: sampled(DT), scheme, [])
     assert found < SAMPLE
+
+
+@compiled
+@pytest.mark.parametrize("period", [1, 20])
+@pytest.mark.parametrize("scheme", [x for x in SCHEMES if not isinstance(x, fmbd.BDF)], ids=lambda s: s.name)
+def test_calls_of_a_sample_between_recorded_steps(scheme: Any, period: int) -> None:
+    """Compiled code makes the step to a sample with those before, and records its end behind the sample."""
+
+    def run(samples: int) -> None:
+        output = fmbd.Output(progress=False)
+        fmbd.solve(sampled(period * DT, 1), t_end=samples * period * DT, dt=DT, scheme=scheme, output=output)
+
+    run(3)
+    few, many = (calls_of(lambda n=n: run(n)) for n in (3, 13))
+    assert (many - few) / 10 < RECORDED
 
 
 @compiled

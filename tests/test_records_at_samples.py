@@ -74,6 +74,32 @@ def test_records_at_a_sample_show_what_is_behind_it(
         assert all(np.abs(x).max() < 0.25 * jump for x in shown.values()), (name, shown)
 
 
+@compiled
+@pytest.mark.parametrize("every", [1, 3])
+@pytest.mark.parametrize("scheme", [x for x in SCHEMES if getattr(x, "rtol", None) is None], ids=lambda s: s.name)
+def test_samples_behind_steps_of_one_call_are_those_behind_steps_made_alone(scheme: Any, every: int) -> None:
+    """Of three controllers with other periods, one of which no step divides: who looks at every step sees each made alone."""
+    runs = []
+    for look in (None, lambda moment: None):
+        scene = held_arm()
+        turn, knee = (fmbd.angle(scene.joints[f"pin {k}"]) for k in (0, 1))
+        scene.add(
+            fmbd.pid("between", knee, target=0.2, gains=(5.0, 1.0, 0.5), every=0.027),
+            fmbd.pid("each", turn, target=0.1, gains=(2.0, 0.5, 0.2), every=0.02),
+            fmbd.forces.joint_friction("friction", knee, coulomb=0.5, speed=0.5),
+        )
+        scene.sensor("knee", knee)
+        scene.sensors.pop("effort")  # efforts of controllers are no numbers of records that compiled code makes
+        output = fmbd.Output(on_step=look, every=every, progress=False)
+        runs.append(fmbd.solve(scene, t_end=0.5, dt=0.01, scheme=scheme, output=output))
+    many, alone = runs
+    assert many.times == pytest.approx(alone.times, abs=1e-12)
+    for name in many.series:
+        assert many[name] == pytest.approx(alone[name], rel=1e-9, abs=1e-10)
+    for name, values in many.energy.items():
+        assert values == pytest.approx(alone.energy[name], rel=1e-9, abs=1e-10)
+
+
 @pytest.mark.parametrize("scheme", [fmbd.EnergyMomentum(), fmbd.Rattle()], ids=lambda s: s.name)
 def test_errors_of_reactions_between_samples_are_told(scheme: Any) -> None:
     """Values within the step behind a sample lay between those of the old effort and of the next end."""

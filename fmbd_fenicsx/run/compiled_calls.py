@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..schemes.stepping import Observers, TimeStepper
+from ..system.element_memory import next_sample
 from ..system.serialisation import Memory
 from .judges.acceptance import Closed
 from .judges.force_balance import next_look
@@ -52,6 +53,9 @@ class CompiledCalls:
         self.looks_inside = events is not None and not self.equal  # values may cross and come back
         self.steps = steps
         self.shown = recorder.output.on_step is not None
+        # whether controllers may sample where a call ends: who looks into its last step sees the efforts up to there
+        looked_into = self.shown or events is not None
+        self.samples = self.equal and bool(recorder.system.keepers) and not looked_into and recorder.wanted is None
         self.local_error = 0.0  # the largest that the stepper told after a call of the newest march
         self._began: State | None = None  # where the step before did, where forces are smooth since then
         self._last = np.inf  # s, when the last step may begin before one that somebody waits for
@@ -167,7 +171,8 @@ class CompiledCalls:
         stepper = self.stepper
         self._bound()
         joints = self.closed if self.closed.judging else None
-        made = stepper.march(self._limit(stepper.state.t), steps, Observers(joints=joints, tape=tape))
+        seen = Observers(joints=joints, tape=tape, samples=self.samples)
+        made = stepper.march(self._limit(stepper.state.t), steps, seen)
         self.local_error = max(self.local_error, stepper.local_error)
 
         # where the scheme ended it, or by number; the clock and records end calls too
@@ -179,6 +184,11 @@ class CompiledCalls:
                 tape.step_back(t)
             return made - 1, False
 
+        # the end of a step is recorded behind the sample there
+        if made and self.samples and next_sample(self.recorder.system) <= t:
+            if tape is not None:
+                tape.step_back(t)
+            return made, False
         return made, bool(made) and (self.equal or not self._over())
 
     def _looked_into(self, done: int, h: float, steps: int, tape: Tape | None) -> tuple[int, bool]:

@@ -21,7 +21,7 @@ import numpy as np
 from ..errors import ConstraintError, ConvergenceError, FmbdError, LinearSolveError, PartsError, StabilityError
 from ..log import log
 from ..schemes.stepping import UNOBSERVED, Around, Observers, TimeStepper
-from ..system.element_memory import accept, next_sample, whole_steps
+from ..system.element_memory import accept, next_sample, sample, whole_steps
 from ..system.evaluation import Evaluation
 from ..system.evaluator import Glance
 from ..system.layout import State
@@ -142,8 +142,8 @@ class ConstantSteps(Around):
         if self._size not in (None, h) or not self.stride(h):
             return 0
 
-        # samples are taken by :meth:`advance`
-        steps = int(min(steps, whole_steps(self.system, self.stepper.state.t, h)))
+        # samples are taken by :meth:`advance`, or by :meth:`sample` behind the last step
+        steps = int(min(steps, whole_steps(self.system, self.stepper.state.t, h) + observers.samples))
         judges = self.judges
         seen = Observers(self.watch, None if judges is None else judges.closed, observers.tape)
         made = self.stepper.march(h, steps, seen) if steps > 0 else 0
@@ -154,6 +154,17 @@ class ConstantSteps(Around):
             if judges is not None:
                 judges.forecast.note(self.stepper.state, made)
         return made
+
+    def sample(self) -> None:
+        """Controllers that are due at the end of a :meth:`march` sample there; collective."""
+        after = self.stepper.state
+        if next_sample(self.system) > after.t:
+            return
+        self._foresee()
+        if self.before_sample is not None:
+            self.before_sample(after)
+        sample(self.system, after)
+        self._begin(after, goes_on=True)
 
     def stride(self, h: float) -> float:
         """That of the stepper; 0 where :meth:`advance` has to make all steps."""

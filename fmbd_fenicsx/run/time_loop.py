@@ -218,6 +218,8 @@ class Loop:
         made, compiled = 0, bool(self.stepper.stride(h))
         if compiled:
             made = self.calls.make(done, most)
+        if made and self.calls.samples:
+            cast(ConstantSteps, self.stepper).sample()
         if not made:
             look = self.calls.next_look(done)
             made = self._in_turn(h, 1 if compiled else min(most, look - done))

@@ -44,12 +44,14 @@ class JointJudge(Protocol):
 class Observers:
     """Who sees every state of steps that are made in one call: judges, and the ``tape`` that records them.
 
-    ``energy`` judges the energy, ``joints`` how open these are, where the scheme does not see to them.
+    ``energy`` judges the energy, ``joints`` how open these are, where the scheme does not see to them; ``samples``: controllers
+    may be due at the end of the last step.
     """
 
     energy: EnergyJudge | None = None
     joints: JointJudge | None = None
     tape: Tape | None = None
+    samples: bool = False
 
 
 UNOBSERVED = Observers()

@@ -71,6 +71,14 @@ def accept(system: System, state: State) -> bool:
     return jumped
 
 
+def sample(system: System, state: State) -> None:
+    """Controllers that are due sample in a state, that of the memories of all other elements; collective."""
+    due = [loads for loads in system.forces if loads.due <= state.t]
+    ev = system.at(state.t, state.q, state.v)
+    for loads, kept in zip(due, [loads.accepted(ev, state) for loads in due], strict=True):
+        loads.kept = kept
+
+
 def drag(system: System, state: State) -> None:
     """What is moved by ends of steps is moved by the end of a part, before an impact, too; collective."""
     dragged = [loads for loads in system.keepers if loads.by_ends]
