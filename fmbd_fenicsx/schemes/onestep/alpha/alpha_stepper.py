@@ -302,19 +302,26 @@ class AlphaStepper(TimeStepper):
         """The state that the last step began with, v and A as it took them; None before the first one."""
         return self._begun
 
-    def error(self, h: float) -> Array:
-        """The error of the last step, of size h (s), as :mod:`.variable_alpha` defines it, (n_v,); collective."""
+    def error(self, h: float, weights: Weights | None = None) -> Array:
+        """The error of the last step, of size h (s), as :mod:`.variable_alpha` defines it, (n_v,), filtered by the matrix of the
+        step or by that of other weights; collective.
+        """
         s, scale, jump, span = self._of_error(h)
         ev = self.system.at(s.t, s.q, s.v)
         # M times the jump of accelerations: times h^2, it would be lost beside those of short steps
         change = ev.balance(s.a + jump, s.lam) - ev.balance(s.a, s.lam)
-        self.solver.prepare(ev, self.scheme.rule(h).weights)
+        self.solver.prepare(ev, weights or self.scheme.rule(h).weights)
 
         free = ev.jacobian.times(scale * jump)
         across = span * ev.opening() if span else free
         held = speed_rows(self.system)  # rows on velocities hold no places
         across[held] = free[held]
         return self.solver.solve(scale * change, across)[0]
+
+    def unfiltered(self, h: float) -> Array:
+        """The error of the places of the last step, of size h (s), without a filter, (n_v,)."""
+        _, scale, jump, _ = self._of_error(h)
+        return scale * jump
 
     def missed_speeds(self, h: float) -> Array | None:
         """What the last step, of size h (s), misses of velocities by (3) of :mod:`.variable_alpha`, not filtered, (n_v,); None

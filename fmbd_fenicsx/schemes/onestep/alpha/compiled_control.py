@@ -25,7 +25,7 @@ from .stretch import Stretch, parts
 class CompiledControl:
     """``Control`` of tables.h for one norm and one controller."""
 
-    def __init__(self, norm: NormOfWays, control: StepControl, *, laws: bool, bends: bool) -> None:
+    def __init__(self, norm: NormOfWays, control: StepControl, *, laws: bool, drags: bool, bends: bool) -> None:
         """``laws``: whether forces follow laws; ``bends``: whether bodies do."""
         self.norm, self.control, self.store = norm, control, Store()
         self.twin, system = twin_of(norm.system), norm.system
@@ -54,7 +54,7 @@ class CompiledControl:
         self._fastest, self._sizes, self._speeds = (work[name][0] for name in ("fastest", "sizes", "speeds"))
         self.c = structure("Control", dim)(
             rtol=norm.rtol, atol=norm.atol or 0.0, length=s.length, least=norm.least, turn=TURN, fading=FADING,
-            frames=system.n_frames, core=system.n_core, laws=laws, bends=bends,
+            frames=system.n_frames, core=system.n_core, laws=laws, drags=drags, bends=bends,
             timed=bool(system.prescribes or system.pushes_in_time), calm=CALM,
             own=ctypes.addressof(self.sizes),
             deforming=len(norm.deforming), deflection=self.store.structure(self.deflections),

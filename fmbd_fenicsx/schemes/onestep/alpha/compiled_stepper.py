@@ -113,13 +113,13 @@ class CompiledAlphaStepper(CompiledSteps, AlphaStepper):
         assert begun is not None
         return begun[0]
 
-    def error(self, h: float) -> Array:
+    def error(self, h: float, weights: Weights | None = None) -> Array:
         """As :meth:`Stepper.error`, with the driver's factor where it made the last step."""
         if not self._ahead:
-            return super().error(h)
+            return super().error(h, weights)
         s, scale, jump, span = self._of_error(h)
-        found = self.driver.error((scale, span), (s.q, s.v, s.a + jump, s.lam), s.t, scale * jump)
-        return super().error(h) if found is None else found
+        found = self.driver.error((scale, span), (s.q, s.v, s.a + jump, s.lam), s.t, scale * jump, weights)
+        return super().error(h, weights) if found is None else found
 
     def filtered(self, h: float, missed: Array, s: State) -> Array:
         """As :meth:`AlphaStepper.filtered`, by the driver where it made the last step, with memories as before that."""

@@ -92,6 +92,7 @@ class VariableAlpha(TimeStepper):
         self.norm = NormOfWays(state, system, scheme.rtol, scheme.atol, 3)
         self.stretch = Stretch()
         self.laws = any(loads.follows_laws for loads in system.forces)
+        self.drags = bool(system.forces or system.elements) and not system.fields
         self.look = LookAhead(system, solver, self.norm, self._weights)
         self.quiet = QuietTimes(self.look)
         bends = bool(self.norm.deforming or system.elements)
@@ -308,7 +309,7 @@ class VariableAlpha(TimeStepper):
         if self._compiled is None:
             from .compiled_control import CompiledControl
 
-            self._compiled = CompiledControl(self.norm, self.control, laws=self.laws, bends=self.resized.change.bends)
+            self._compiled = CompiledControl(self.norm, self.control, laws=self.laws, drags=self.drags, bends=self.resized.change.bends)
         return self._compiled
 
     @property
@@ -357,7 +358,11 @@ class VariableAlpha(TimeStepper):
         """The norm of (2), or that of (3) where it is larger."""
         e = self.inner.error(h)
         self.norm.update(self.state, h)  # the way of this step counts
-        error = self.norm(h, e, np.zeros_like(e))
+        still = np.zeros_like(e)
+        error = self.norm(h, e, still)
+        if self.drags and error <= 1.0 and self.norm(h, self.inner.unfiltered(h), still) > 1.0:
+            undamped = replace(self._weights(h), cd=0.0)
+            error = self.norm(h, self.inner.error(h, undamped), still)
         missed = self.inner.missed_speeds(h) if self.laws and error <= 1.0 else None
         if missed is None or not self.norm.of_speeds(h, missed) > max(error, CALM):
             return error  # less is what Newton's iteration leaves of accelerations

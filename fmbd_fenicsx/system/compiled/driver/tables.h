@@ -484,6 +484,7 @@ typedef struct {
     const double *origin;              /* the configuration that ways are measured from */
     long frames, core;                 /* that move, and entries like v of these and of what is no field */
     long laws;                         /* whether forces follow laws, whose stiffness may not last */
+    long drags;                        /* whether damping may be that of forces alone, which gives no place back */
     long deforming, coordinates;       /* bodies that deform; other coordinates of bodies, each of a size of its own */
     Deflection *deflection;
     int *coordinate;                   /* where these stand in v */

@@ -145,6 +145,12 @@ static int judged(System *s, const double *p, Control *c, const Block *past, con
     reach(s, c, p[H], out);
     c->unknown = small(s, p, out->q, 0.0);
     double error = error_norm(s, c, out->q, c->e, 0.0);
+    if (c->drags && error <= 1.0 && error_norm(s, c, out->q, c->missed_speed, 0.0) > 1.0) {
+        const double share = (1.0 - p[AF]) / (1.0 - p[AM]), undamped[] = {0.0, p[H] * p[H] * share * p[BETA]};
+        verdict = filtered(s, scale, span, undamped, out->q, out->v, c->a, out->lam, *out->t, c->missed_speed, c->e, c->y);
+        if (verdict) return verdict;
+        error = error_norm(s, c, out->q, c->e, 0.0);
+    }
     if (error <= 1.0 && c->laws && p[HISTORY] >= 1.0 && (verdict = with_speeds(s, p, c, past, out, &error))) return verdict;
     c->trial = error;
     if (!(error <= 1.0)) return SIZE;
