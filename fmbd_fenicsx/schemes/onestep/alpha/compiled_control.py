@@ -26,7 +26,7 @@ class CompiledControl:
     """``Control`` of tables.h for one norm and one controller."""
 
     def __init__(self, norm: NormOfWays, control: StepControl, *, laws: bool, drags: bool, bends: bool) -> None:
-        """``laws``: whether forces follow laws; ``drags``: whether dampers alone may hold bodies; ``bends``: whether these bend."""
+        """``laws``: whether forces follow laws; ``drags``: whether dampers alone may hold some; ``bends``: whether bodies do."""
         self.norm, self.control, self.store = norm, control, Store()
         self.twin, system = twin_of(norm.system), norm.system
         s, dim = self.twin.system, system.motions.dim
