@@ -649,3 +649,11 @@ def test_a_drive_on_the_slow_wheel_of_a_train_moves_all(wheels: int, axis: Any) 
         assert run[f"turn {i}"][-1] == pytest.approx((-1) ** wheels * 0.05, rel=1e-12)
     assert abs(run["moment"][-1]) == pytest.approx(10.0 * inertia / total, rel=1e-8)
     assert run.counters["compiled_steps"] == run.counters["steps"]
+
+
+def test_gears_that_count_as_dependent_are_told(caplog: pytest.LogCaptureFixture) -> None:
+    """One gear that reduces by 1e-14, and one back: rows are the same but for that, and the first wheel turns twice as far."""
+    scene = train([1e-14, 1e14])
+    scene.add(fmbd.torque("push", scene.bodies["wheel 0"], lambda t: 0.3))
+    fmbd.solve(scene, t_end=0.01, dt=0.01, output=fmbd.Output(progress=False))
+    assert any('gears "gear 1", "gear 2" count as depending' in r.getMessage() for r in caplog.records)

@@ -19,6 +19,7 @@ from ..system.mobility import (
 CLOSE = 1e-3  # sigma_min / sigma_max of a position close to a singular one
 CORRECTIONS = 2  # of a solution where dependent rows are the same, see algebra/factor.c
 MORE = 4  # where they nearly are
+GEARED = 1e-3  # share of a gear in redundant rows above which they are its own
 LOOK_LIMIT = 600  # constraint rows up to which dependent ones are counted
 
 
@@ -49,6 +50,7 @@ def _look(ev: Evaluation) -> tuple[int, int]:
         return 0, 0 if rows_differ(ev) else CORRECTIONS
     found = mobility(ev)
     warn_of_ties(ev.system, found.shares)
+    warn_of_gears(ev.system, found.shares)
     if not found.redundant:
         return 0, 0
     if near := nearly_the_same(found):
@@ -70,6 +72,17 @@ def warn_of_ties(system: Measured, shares: dict[str, float]) -> None:
         log.warning(
             "ties %s depend on each other where their surfaces meet (%d redundant rows): tractions there are not unique. "
             "Use spaces with merged ends, say fmbd.Continuous(1).", names, round(sum(shares.values())),
+        )  # fmt: skip
+
+
+def warn_of_gears(system: Measured, shares: dict[str, float]) -> None:
+    """Say which gears count as depending on each other: those of a train that reduces too far and comes back do not."""
+    names = [b.name for b in system.blocks if b.kind == "gear" and shares.get(b.name, 0.0) > GEARED]
+    if names:
+        log.warning(
+            "gears %s count as depending on others (%.0f redundant rows). Where they hold the same twice, all is well; those of "
+            "a train that reduces by %.0e or more and comes back let its ends turn apart: take one gear of its total ratio.",
+            ", ".join(f'"{name}"' for name in names), sum(shares.values()), 1.0 / NEAR_SINGULAR,
         )  # fmt: skip
 
 
