@@ -15,6 +15,7 @@ from ..system.bends import Bends
 from ..system.element_memory import next_sample, restore
 from ..system.evaluation import Evaluation
 from ..system.layout import State
+from ..system.scene.alike import values_of_inputs
 from ..system.small_turns import HalfTurns, SmallTurns
 from ..system.spins import Spins
 from .checkpoints.progress import RunProgress
@@ -134,6 +135,7 @@ class Loop:
         self.events = _events(problem, schedule, output, state)
         self.event_met = False
         self._sampled = False  # whether controllers have sampled in the newest state
+        self._inputs = values_of_inputs(problem.scene)
 
         self.calls = CompiledCalls(
             self.stepper,
@@ -328,16 +330,24 @@ class Loop:
             self.progress.first = self.solver.elastic.back_solves
 
     def _pass_kink(self) -> None:
-        """Begin anew behind a break point, or under own steps behind a sample, where that has not been done."""
+        """Begin anew behind a break point, under own steps behind a sample, or where a function of the user's has set an input:
+        where that has not been done.
+        """
         t, sampled = self.state.t, self._sampled
+        jumps = self.output.calls_back and self._set_inputs()
         kink = self.schedule.broken(t, self.progress.done) if self.schedule.stops else None
-        if kink is None and sampled and not self.schedule.steps:
+        if kink is None and (jumps or (sampled and not self.schedule.steps)):
             kink = t
-        if kink is not None and (sampled or kink != t):
+        if kink is not None and (sampled or jumps or kink != t):
             self.stepper.restart(kink)
             self.state = self.stepper.state
             self.recorder.go_on(self.state)
         self._sampled = False
+
+    def _set_inputs(self) -> bool:
+        """Whether inputs have other values than when it was asked last."""
+        before, self._inputs = self._inputs, values_of_inputs(self.problem.scene)
+        return before != self._inputs
 
     # -- what is left -----------------------------------------------------------------------------------------------
     def named(self, error: ConvergenceError | LinearSolveError) -> ConvergenceError | LinearSolveError:

@@ -337,6 +337,8 @@ def behind_a_jump(system: System, state: State, solver: StepSolver, *, h: float 
     rows may contradict each other. ``h``: the next step, s; collective.
     """
     driver = solver.driver if system.n_lam and not solver.core.redundant else None
+    if driver is not None:
+        driver.states.anew = True  # inputs may have been set since this time was asked for
     found = None if driver is None else driver.arrived(state.t, state.q, state.v, places=True)
     if found is not None and np.abs(found.q - state.q).max() <= FITS * system.length:
         return found
