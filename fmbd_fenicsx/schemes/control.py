@@ -29,7 +29,7 @@ PATIENCE = 40  # refusals of one step
 ESTIMATE = "error estimate"  # the cause of those by a step's error; others are failures of its iteration
 DEARLY = "found dearly"  # of a step whose cheap iteration failed and whose dear one did not: across stiff springs that turn the
 SHORTER = 0.25  # cheap one finds steps of this share of its size
-FIRST_PAUSE = 4  # steps
+LONG_PAUSE = 4  # steps: the least behind a second failure
 FADING = 0.8  # of the largest error of late, from step to step
 
 
@@ -94,11 +94,11 @@ class StepControl:
         if dearly and self.since < self.pause:
             self.pause = 0  # shorter steps were no cure
         elif dearly or (self.dear and any(cause != ESTIMATE for *_, cause in self.rejections)):
-            self.pause = max(2 * self.pause, FIRST_PAUSE) if self.since <= 2 * self.pause else FIRST_PAUSE
+            self.pause = max(2 * self.pause, LONG_PAUSE) if self.since <= 2 * self.pause else 1
             self.since = 0
         most = 1.0 if self.rejections or self.since < self.pause else self.grow
         self.rejections.clear()
-        factor = min(max(factor, self.shrink), SHORTER if dearly and self.pause else most)
+        factor = min(max(factor, self.shrink), SHORTER if dearly and self.pause > 1 else most)
         return h * factor
 
     def proposal(self, proposed: float, limit: float) -> float:

@@ -111,7 +111,7 @@ static int lets_pass(const OwnSteps *c, const Passing *found) { return found->er
 /* The size that is proposed first, where a controller proposes so much. */
 static double proposal(const OwnSteps *c, double next) { return c->given != 0.0 ? INFINITY : next; }
 
-enum { FIRST_PAUSE = 4 }; /* of growth, steps */
+enum { LONG_PAUSE = 4 }; /* of growth, steps: the least behind a second failure */
 
 /* Take note of a step that has passed. */
 static void note_passing(OwnSteps *c, const Passing *found)
@@ -120,7 +120,7 @@ static void note_passing(OwnSteps *c, const Passing *found)
     c->refused += found->refused;
     c->since += 1.0;
     if (found->failures && c->first > 0.0) {
-        c->pause = c->since <= 2.0 * c->pause ? fmax(2.0 * c->pause, FIRST_PAUSE) : FIRST_PAUSE;
+        c->pause = c->since <= 2.0 * c->pause ? fmax(2.0 * c->pause, LONG_PAUSE) : 1.0;
         c->since = 0.0;
     }
     c->trouble = fmax(c->trouble + 2 * found->failures - 1, 0.0);
