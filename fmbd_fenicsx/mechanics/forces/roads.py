@@ -26,6 +26,7 @@ ROAD = "road(x, t), which is asked for one height at x, all coordinates of the w
 TINY = 1e-30  # s, of complex steps
 IMAGINARY = complex(0.0, TINY)
 STEP, SHORT = 1e-5, 1e-7  # of differences and of (z(s) - z(0)) / s: shares of the radius
+SLOW = 1e-2
 WRONG, DROPPED = 1e-6, 1e-5  # of radius and speed: what heights and rates may differ by, at first and later
 KEPT = 4  # answers
 
@@ -40,6 +41,10 @@ class Roads:
         self.tyres = tyres
         self.roads = [named("The road of tyre", f.name, f.road) for f in tyres]
         self.radius: Array = np.array([f.radius for f in tyres], dtype=float)
+        # m/s, that count as slow beside the radius in the time of damping and stiffness, in any units
+        self.slow = [
+            SLOW * f.radius * f.stiffness / f.damping if f.damping and f.stiffness else f.radius for f in tyres
+        ]
         self.ways: dict[int, list[Way]] = {}  # that a road takes, the quickest first
         self.kept: dict[Hashable, Array] = {}
 
@@ -135,7 +140,7 @@ class Roads:
         ahead where they contradict each other, as about kinks.
         """
         radius, here = float(self.radius[i]), self.height(i, x, t)
-        speed = max(radius, float(np.abs(v).max()))
+        speed = max(self.slow[i], float(np.abs(v).max()))
         s = 2.0 ** math.floor(math.log2(STEP * radius / speed))  # times have no roundoff
 
         def changes(way: float) -> tuple[float, float]:
