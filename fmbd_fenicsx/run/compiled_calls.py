@@ -83,7 +83,7 @@ class CompiledCalls:
 
         self._began = self.recorder.earlier
         self.local_error = 0.0
-        if unseen < MOST:
+        if unseen != MOST:  # somebody waits, after however many steps of the first size
             self._last = t + (unseen - 1) * h
         begin, made, chunk, more = clock.perf_counter(), 0, FIRST, True
 

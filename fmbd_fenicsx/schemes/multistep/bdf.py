@@ -254,7 +254,7 @@ class BDFStepper(ImplicitStepper):
         starter = self._starter
         assert starter is not None
         starter.recorded = self.recorded
-        starter.bound(self.longest, self.ends)
+        starter.bound(self.longest, self.ends, self.last)
         guessed = len(self.past) == 1  # the size of the first step
         self.state, self.local_error = starter.advance(h), starter.local_error
         self._remember(self.state, starter.mult)
