@@ -27,8 +27,8 @@ NO_ERROR = 1e-10  # smaller ones are none
 REFUSED = 0.1, 0.9  # least and most that is left of the size of a step that its error has refused
 PATIENCE = 40  # refusals of one step
 ESTIMATE = "error estimate"  # the cause of those by a step's error; others are failures of its iteration
-DEARLY = "found dearly"  # of a step whose cheap iteration failed and whose dear one did not: across stiff springs that turn the
-SHORTER = 0.25  # cheap one finds steps of this share of its size
+DEARLY = "found dearly"  # the cause of a step whose cheap iteration failed and whose dear one did not
+SHORTER = 0.25  # of its size: that of the next one, which the cheap one finds across stiff springs that turn
 LONG_PAUSE = 4  # steps: the least behind a second failure
 FADING = 0.8  # of the largest error of late, from step to step
 
