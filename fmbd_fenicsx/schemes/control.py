@@ -14,6 +14,7 @@ import numpy as np
 
 from ..errors import ConvergenceError
 from ..rotations import Array
+from ..system.compiled.declarations import constants
 from ..system.layout import State
 from ..system.system import System
 from .error_norm import ErrorNorm
@@ -29,7 +30,7 @@ PATIENCE = 40  # refusals of one step
 ESTIMATE = "error estimate"  # the cause of those by a step's error; others are failures of its iteration
 DEARLY = "found dearly"  # the cause of a step whose cheap iteration failed and whose dear one did not
 SHORTER = 0.25  # of its size: that of the next one, which the cheap one finds across stiff springs that turn
-LONG_PAUSE = 4  # steps: the least behind a second failure
+LONG_PAUSE = int(constants("marches/own_steps.c", "LONG_PAUSE")[0])  # steps: the least behind a second failure
 FADING = 0.8  # of the largest error of late, from step to step
 
 

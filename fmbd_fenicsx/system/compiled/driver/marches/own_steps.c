@@ -111,7 +111,7 @@ static int lets_pass(const OwnSteps *c, const Passing *found) { return found->er
 /* The size that is proposed first, where a controller proposes so much. */
 static double proposal(const OwnSteps *c, double next) { return c->given != 0.0 ? INFINITY : next; }
 
-enum { LONG_PAUSE = 4 }; /* of growth, steps: the least behind a second failure */
+static const double LONG_PAUSE = 4.0; /* of growth, steps: the least behind a second failure */
 
 /* Take note of a step that has passed. */
 static void note_passing(OwnSteps *c, const Passing *found)
