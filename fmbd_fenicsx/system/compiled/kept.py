@@ -8,6 +8,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -74,15 +75,20 @@ class Kept:
         # a memory of elements is that of the newest step
         self.many = not (tables.c.remembers or tables.sampled)
         most = min(max(BYTES // (8 * (3 * size + own)), FEW + parts), CAPACITY + parts) if self.many else parts
-        sizes = {"newest": (most, size + own), "begin": (most, size), "earlier": (most, size), "last": (size,)}
-        room = zeros_of(sizes)
-        self._room = {name: x for name, (x, _) in room.items()}
+        self._sizes = {"newest": (most, size + own), "begin": (most, size), "earlier": (most, size), "last": (size,)}
         self._number = np.zeros(most, dtype=np.int64)
-        addresses = {name: address for name, (_, address) in room.items()}
-        self.c: _Kept = _Kept(capacity=most, own=own, most=parts, number=address_of(self._number), **addresses)
+        self.c: _Kept = _Kept(capacity=most, own=own, most=parts, number=address_of(self._number))
         self.address: int = ctypes.addressof(self.c)
         self.most = max(most, FEW)  # instants that are told together
         self._instants: Array = np.zeros(0)
+
+    @cached_property
+    def _room(self) -> dict[str, Array]:
+        """Megabytes, which most marches, for whom nobody waits, do without."""
+        room = zeros_of(self._sizes)
+        for name, (_, address) in room.items():
+            setattr(self.c, name, address)
+        return {name: x for name, (x, _) in room.items()}
 
     @property
     def full(self) -> bool:
