@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from collections.abc import Callable
 from typing import Any
 
@@ -351,6 +352,24 @@ def test_what_c_writes_into_series_is_what_python_takes_from_records(
         assert fast.series.keys() == slow.series.keys() and fast.energy.keys() == slow.energy.keys()
         for name, values in (slow.series | slow.energy).items():
             assert np.array_equal((fast.series | fast.energy)[name], values), name
+
+
+@pytest.mark.parametrize("scheme", [fmbd.GeneralizedAlpha(), fmbd.BDF()], ids=["equal steps", "own steps"])
+def test_runs_take_room_for_steps_that_somebody_waits_for_alone(scheme: Any) -> None:
+    """Megabytes, cleared, cost more than the steps of a short run."""
+
+    def most(output: fmbd.Output) -> int:
+        dt = None if isinstance(scheme, fmbd.BDF) else 1e-2
+        tracemalloc.start()
+        try:
+            fmbd.solve(links(3), t_end=0.2, dt=dt, scheme=scheme, output=output)
+            return tracemalloc.get_traced_memory()[1]
+        finally:
+            tracemalloc.stop()
+
+    most(fmbd.Output(progress=False))  # loads modules
+    assert most(fmbd.Output(progress=False)) < 1_000_000
+    assert most(fmbd.Output(times=(0.05, 0.1), progress=False)) > 1_000_000
 
 
 def test_markers_in_one_place_are_seen_once() -> None:
