@@ -17,7 +17,7 @@ from ...checks import function as checked_function
 from ...errors import ROUNDINGS, CallbackError, FmbdError, floats, named
 from ...rotations import Array
 from ..frames import Kinematics
-from ..kinds.time_derivatives import CountingSteps, Rates, TimeFormula, rates
+from ..kinds.time_derivatives import Rates, SmoothIntervals, TimeFormula, rates
 from .constraints import Batch, Motion, Sides
 from .relative import RelativeCoordinates
 
@@ -38,7 +38,7 @@ class SmoothMotion:
     differenced: Callable[[Any], Any]  # the function up to its very end
     positive: bool = False
     formula: Callable[[float, float], Rates | None] | None = None  # s' and s'' at t where s is a place
-    steps: CountingSteps = field(default_factory=CountingSteps)  # of differences
+    smooth: SmoothIntervals = field(default_factory=SmoothIntervals)
     table: Callable[[float], Any] | None = None  # as the user gave it
 
     def __call__(self, t: float) -> tuple[float, float, float]:
@@ -56,7 +56,7 @@ class SmoothMotion:
     @property
     def by_differences(self) -> bool:
         """Whether differences have told its rates."""
-        return bool(self.steps.intervals)
+        return self.smooth.differenced
 
     def moving(self, t: float) -> tuple[float, float]:
         """s and s' at a time."""
@@ -74,7 +74,7 @@ class SmoothMotion:
                 return told
         inside = t * (1.0 - ROUNDINGS)
         try:
-            found = self.steps.by_polynomial(self.differenced, t, place) or rates(self.differenced, t, kept=self.steps)
+            found = self.smooth.rates(self.differenced, t, place)
         except FmbdError:
             return rates(self.differenced, inside)
         return found if isfinite(found[0]) and isfinite(found[1]) else rates(self.differenced, inside)

@@ -10,12 +10,10 @@ interpolation, a table) is differenced about t with steps of 2^-39 to 2^18 s, ei
 with k = -3 ... 3, and where the function ends (it raises, or returns no finite number), or is said to break, with k = 1 ... 6
 or -6 ... -1. The step counts whose error, by its difference from the formula of the four nearest k and its roundoff, is smallest.
 Longer steps are tried as long as they agree with what shorter ones have found: a whole period would else look like rest. Across
-a kink formulas of s'' may agree by chance: a step counts for s'' where its s' is that of the step before. At a kink rates are
-those behind it: where no polynomial joins both sides, the side ahead is asked alone. The steps that count at a few places of an
-interval of time serve all of it, where they do not contradict each other: two to four in place of some fifteen. Where they do,
-beside a kink, the longest of the shorter ones counts that roundoff alone limits and the next shorter one agrees with
-(:class:`CountingSteps`). All that these steps need is asked for by one call of a function that takes an array of times. Where
-it is smooth in an interval, a polynomial tells its rates instead (:mod:`.time_polynomials`): two to seven values a time.
+a kink formulas of s'' may agree by chance: a step counts for s'' where its s' is that of the step before, and none behind one
+that contradicts an s' which is sure. At a kink rates are those behind it: where no polynomial joins both sides, the side ahead is
+asked alone. Where a function is smooth in an interval, a polynomial tells its rates instead (:class:`SmoothIntervals`): two to
+seven values a time, all of them asked for by one call of a function that takes an array of times.
 """
 
 from __future__ import annotations
@@ -37,10 +35,9 @@ from .time_polynomials import FEW, LEVELS, PARTS, TimePolynomial, falls, polynom
 EPS = float(np.finfo(float).eps)
 STEPS = tuple(2.0**k for k in range(-39, 19, 3))  # s
 AGREES = 10.0  # times the errors that two steps are thought to have
-INTERVAL = 64  # steps over which a function is smooth, in an interval that has one choice of steps
+INTERVAL = 64  # steps over which a function is smooth, in the widest interval
 SMOOTH = 1e-3  # of its change over a step: what a polynomial may leave of it
-PLACES = (0.13, 0.41, 0.77)  # in an interval, where steps are looked for
-MOST = 1000  # intervals whose steps are kept
+MOST = 1000  # intervals whose polynomials are kept
 REFUSED = (TypeError, ValueError, OverflowError, AttributeError)  # of functions that take plain numbers only
 SAME = 1e-9  # of a value: what a formula may miss of what the function says
 OUTSIDE = (*REFUSED, ArithmeticError, FmbdError)  # of functions of a part of the time only
@@ -51,12 +48,9 @@ ALWAYS: Span = -math.inf, math.inf
 AHEAD: Span = 0.0, math.inf  # kinks at t = 0 are not seen from both sides
 
 
-def rates(function: Callable[[Any], Any], t: float, scale: float = 0.0, kept: CountingSteps | None = None) -> Rates:
-    """s'(t) and s''(t) of ``function``(t) -> s.
-
-    ``scale``: of terms that may cancel in s, whose roundoff stays; ``kept``: steps of differences of this function.
-    """
-    return _by_jets(function, t) or _differenced(function, t, scale, kept)
+def rates(function: Callable[[Any], Any], t: float, scale: float = 0.0) -> Rates:
+    """s'(t) and s''(t) of ``function``(t) -> s; ``scale``: of terms that may cancel in s, whose roundoff stays."""
+    return _by_jets(function, t) or _differenced(function, t, scale)
 
 
 def _by_jets(function: Callable[[Any], Any], t: float) -> Rates | None:
@@ -141,30 +135,30 @@ SIDES = tuple(
 class Best:
     """Of estimates with their errors, by longer and longer steps, the most accurate one before the first that contradicts it.
 
-    ``number``: of its step; ``parted``: no polynomial joins its values; ``rounded``: roundoff is what limits it. One alone may be
-    misled by roundoff of terms that cancel, of which values tell nothing; two steps in turn that agree to :data:`SMOOTH` of a
-    rate are ``sure``, and only these can be contradicted. ``agrees``: the newest one with those before.
+    ``number``: of its step; ``parted``: no polynomial joins its values. One alone may be misled by roundoff of terms that cancel,
+    of which values tell nothing; two steps in turn that agree to :data:`SMOOTH` of a rate are ``sure``, and only these can be
+    contradicted.
     """
 
-    __slots__ = ("agrees", "contradicted", "error", "number", "parted", "rounded", "sharp", "sure", "value")
+    __slots__ = ("contradicted", "error", "number", "parted", "sharp", "sure", "value")
 
     def __init__(self) -> None:
         self.value, self.error, self.number = math.nan, math.inf, 0
-        self.sharp = self.sure = self.contradicted = self.parted = self.rounded = self.agrees = False
+        self.sharp = self.sure = self.contradicted = self.parted = False
 
-    def take(self, value: float, doubt: float, number: int, roundoff: float) -> None:
-        """Look at the estimate by the next longer step, and at what roundoff has of its doubt."""
+    def take(self, value: float, doubt: float, number: int) -> None:
+        """Look at the estimate by the next longer step."""
         if self.contradicted:
             return
         sharp = doubt <= SMOOTH * abs(value)
-        self.agrees = agrees = math.isnan(self.value) or abs(value - self.value) <= AGREES * (self.error + doubt)
+        agrees = math.isnan(self.value) or abs(value - self.value) <= AGREES * (self.error + doubt)
         if not agrees and self.sure:
             self.contradicted = True
             return
         self.sure |= agrees and sharp and self.sharp
         self.sharp = sharp
         if doubt < self.error:
-            self.value, self.error, self.number, self.rounded = value, doubt, number, doubt <= AGREES * roundoff
+            self.value, self.error, self.number = value, doubt, number
 
 
 class Values(dict[float, float]):
@@ -191,16 +185,16 @@ class Values(dict[float, float]):
         return answers if math.isfinite(sum(answers)) else None
 
 
-class CountingSteps:
-    """Steps that count at a few places of an interval of time, which is so many of those over which it is smooth at t = 0.
+class SmoothIntervals:
+    """Rates of one function by polynomials (:mod:`.time_polynomials`), each of an interval of time in which it is smooth, and
+    beside these as :func:`rates`.
 
     What is found is a function of the time alone, whoever was asked before: runs that are taken up go on to the last bit.
     """
 
     def __init__(self) -> None:
         self.breaks: list[float] = []  # times (s) at which the function is not smooth, rising
-        self.width = math.nan  # s
-        self.intervals: dict[int, tuple[list[int], list[float]]] = {}
+        self.differenced = False  # whether differences have told any rates
         self.takes_arrays: bool | None = None  # whether the function does; None: not tried yet
         self.takes_jets: bool | None = None  # likewise, where it begins
         self.widest = math.nan  # interval of a polynomial, s
@@ -212,8 +206,7 @@ class CountingSteps:
         """The function is not smooth at some more times, s."""
         breaks = sorted({*self.breaks, *times})
         if breaks != self.breaks:
-            self.breaks = breaks
-            self.intervals.clear()
+            self.breaks, self.differenced = breaks, False
             self.polynomials.clear()
 
     def smooth_about(self, t: float) -> Span:
@@ -221,18 +214,27 @@ class CountingSteps:
         i = bisect_right(self.breaks, t)
         return self.breaks[i - 1] if i else -math.inf, self.breaks[i] if i < len(self.breaks) else math.inf
 
+    def rates(self, function: Callable[[Any], Any], t: float, place: float) -> Rates:
+        """s'(t) and s''(t) of ``function``(t) -> s, which is at a ``place``."""
+        exact = self.by_polynomial(function, t, place) or _by_jets(function, t)
+        if exact is not None:
+            return exact
+        self.differenced = True
+        return _differenced(function, t, span=self.smooth_about(t))
+
     def by_polynomial(self, function: Callable[[Any], Any], t: float, place: float) -> Rates | None:
-        """Both rates by the polynomial of the widest interval around t that has one, where it is at a ``place``.
+        """Both rates by the polynomial of the widest interval around t that has a good one, where it is at a ``place``.
 
         None without any, and of a function that takes jets.
         """
         if self.takes_jets is None:
             self.takes_jets = _by_jets(function, 0.0) is not None
-            self.widest = math.nan if self.takes_jets else INTERVAL * _smooth_step(function, AHEAD)
+            self.widest = math.nan if self.takes_jets else INTERVAL * _smooth_step(function)
         if self.takes_jets:
             return None
 
         span, width = self.smooth_about(t), self.widest
+        best: TimePolynomial | None = None
         for _ in range(LEVELS):
             key = width, math.floor(t / width), span[0]
             if key not in self.polynomials:
@@ -240,11 +242,13 @@ class CountingSteps:
                     self.polynomials.clear()
                 self.polynomials[key] = self._polynomial(function, key, span)
 
-            polynomial = self.polynomials[key]
-            if polynomial is not None:
-                return polynomial.rates(t, place)
+            found = self.polynomials[key]
+            if found is not None and (best is None or found.missed < best.missed):
+                best = found
+            if best is not None and best.missed < 1.0:
+                break
             width /= PARTS
-        return None
+        return None if best is None else best.rates(t, place)
 
     def _polynomial(
         self, function: Callable[[Any], Any], key: tuple[float, int, float], span: Span
@@ -265,32 +269,6 @@ class CountingSteps:
                 return None
         return polynomial(there, ends, (begin, begin + width))
 
-    def by_few(self, values: Values, t: float, scale: float) -> Rates | None:
-        """Both rates by the steps of this interval; None where they are not as good as in the places that they are from."""
-        function = values.__getitem__
-        steps, errors = self._interval(function, t, scale)
-        if not steps:
-            return None
-        span = self.smooth_about(t)
-        fits_behind_alone = t + 3 * STEPS[steps[0]] >= span[1]
-        if fits_behind_alone:  # a shorter one shows where that is another function
-            ahead = [n for n, h in enumerate(STEPS) if t + 6 * h < span[1]]
-            steps = sorted({*steps, *ahead[-1:]})
-        self._ask(values, _times_around(t, span, steps))
-        found = search(function, t, scale, span, steps)
-        good = all(not x.contradicted and x.error <= AGREES * error for x, error in zip(found, errors, strict=True))
-        best = found if good else self._by_shorter(values, t, scale, span, steps[0])
-        return None if best is None else (best[0].value, best[1].value)
-
-    def _by_shorter(self, values: Values, t: float, scale: float, span: Span, number: int) -> tuple[Best, Best] | None:
-        """Both rates by the longest step below one of a number that roundoff limits and the next shorter one agrees with."""
-        for n in range(number - 1, 0, -1):
-            self._ask(values, _times_around(t, span, (n - 1, n)))
-            found = search(values.__getitem__, t, scale, span, (n - 1, n))
-            if all(best.number == n and best.rounded and best.agrees for best in found):
-                return found
-        return None
-
     def _ask(self, values: Values, times: Sequence[float]) -> None:
         """Find what a function says at some times by one call, if it takes arrays and is known at all of them.
 
@@ -310,39 +288,12 @@ class CountingSteps:
         self.takes_arrays = max(map(abs, map(sub, found, alone))) <= SAME * most
         values.update(zip(times, found, strict=True) if self.takes_arrays else ())
 
-    def _interval(self, function: Callable[[Any], Any], t: float, scale: float) -> tuple[list[int], list[float]]:
-        """The steps that count in the interval around t, with the next shorter ones, and the errors of both rates there."""
-        if math.isnan(self.width):
-            self.width = INTERVAL * _smooth_step(function, ALWAYS)
-        number = math.floor(t / self.width)
-        if number not in self.intervals:
-            if len(self.intervals) == MOST:
-                self.intervals.clear()
-            self.intervals[number] = self._at_places(function, [(number + part) * self.width for part in PLACES], scale)
-        return self.intervals[number]
 
-    def _at_places(
-        self, function: Callable[[Any], Any], places: Sequence[float], scale: float
-    ) -> tuple[list[int], list[float]]:
-        """What all steps say there, where the function is known: those of the largest errors."""
-        found = []
-        for t in places:
-            try:
-                found.append(search(function, t, scale, self.smooth_about(t)))
-            except OUTSIDE:
-                continue
-        if not found:
-            return [], []
-        worst = [max((at[k] for at in found), key=lambda best: best.error) for k in (0, 1)]
-        steps = {n for best in worst for n in (best.number - 1, best.number) if n >= 0}
-        return sorted(steps), [best.error for best in worst]
-
-
-def _smooth_step(function: Callable[[Any], Any], span: Span) -> float:
-    """The longest step (s) over which it is a polynomial about t = 0 in a span."""
+def _smooth_step(function: Callable[[Any], Any]) -> float:
+    """The longest step (s) over which it is a polynomial behind t = 0."""
     here = float(function(0.0))
     for n, h in enumerate(STEPS):
-        around = _around(function, 0.0, h, span)
+        around = _around(function, 0.0, h, AHEAD)
         if around is None:
             return STEPS[max(n - 1, 0)]
         there, (formula, _) = around
@@ -353,17 +304,12 @@ def _smooth_step(function: Callable[[Any], Any], span: Span) -> float:
     return STEPS[-1]
 
 
-def _differenced(function: Callable[[Any], Any], t: float, scale: float, kept: CountingSteps | None) -> Rates:
+def _differenced(function: Callable[[Any], Any], t: float, scale: float = 0.0, span: Span = ALWAYS) -> Rates:
     """(1) for m = 1 and 2, each with the step that suits it best; NaN where the function is known at t alone."""
-    values = Values(function)  # steps are looked at again beside others
-    few = None if kept is None else kept.by_few(values, t, scale)
-    if few is not None:
-        return few
-    function = values.__getitem__
-    span = ALWAYS if kept is None else kept.smooth_about(t)
-    found = search(function, t, scale, span)
+    values = Values(function).__getitem__  # steps are looked at again ahead
+    found = search(values, t, scale, span)
     if found[1].parted:
-        ahead = search(function, t, scale, (t, span[1]))
+        ahead = search(values, t, scale, (t, span[1]))
         found = ahead if ahead[1].error < SMOOTH * found[1].error else found
     return found[0].value, found[1].value
 
@@ -402,18 +348,18 @@ def search(
         if side is not None and side is not formulas and not _agree(rate, doubt, first.value, first.error):
             break
         side = formulas
-        first.take(rate, doubt, number, blur / h)
+        first.take(rate, doubt, number)
         # across a kink both formulas of s'' may agree by chance, but s' leaps
         if shorter is None or _agree(rate, doubt, *shorter):
             apart = abs(curve - rough_curve)
-            second.take(curve / (h * h), (apart + blurred) / (h * h), number, blurred / (h * h))
+            second.take(curve / (h * h), (apart + blurred) / (h * h), number)
             if second.number == number:
                 second.parted = apart > SMOOTH * most + blurred
         else:
             second.contradicted |= second.sure
         shorter = rate, doubt
 
-        if first.contradicted and second.contradicted:
+        if first.contradicted:  # beyond a kink
             break
     return first, second
 
@@ -435,14 +381,6 @@ def _around(
         if all(map(math.isfinite, there)):
             return there, formulas
     return None
-
-
-def _times_around(t: float, span: Span, steps: Sequence[int]) -> list[float]:
-    """At which a function is asked for its rates at t by some steps."""
-    times = [t]
-    for h in [STEPS[n] for n in steps]:
-        times += [t + k * h for nodes, _ in _sides(t, h, span)[:1] for k in nodes]
-    return times
 
 
 def _sides(t: float, h: float, span: Span) -> list[tuple[tuple[int, ...], tuple[DifferenceFormula, ...]]]:

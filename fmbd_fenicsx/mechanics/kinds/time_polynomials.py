@@ -10,7 +10,8 @@ last quarter of the c_k, of size e, is roundoff of s, or has no weight in the ra
     e sum_k |T_k'| < RATE max |s' r|,    e sum_k |T_k''| < CURVE max |s'' r^2|                            (2)
 
 up to the last c_k above e, those behind it count as zero. Every third value tells first whether the c_k fall at all. An interval
-without such a polynomial is cut in parts. What is found of one does not depend on what was asked before.
+without such a polynomial is cut in parts; where the last have none, that of the interval that misses (2) least serves, by not
+more than tenfold. What is found of one does not depend on what was asked before.
 """
 
 from __future__ import annotations
@@ -30,9 +31,10 @@ FEW = slice(None, None, 3)  # values that are looked at first
 FALLS = 3e-3  # of the largest c_k, k > 0, by these: what the last two may be
 ROUNDED = 4.0  # times e: c_k below are none
 RATE, CURVE = 1e-10, 1e-7  # of the largest s' and s''
+MISSED = 10.0  # times these, at most
 SEEN = 1e-14  # of the largest s: roundoff
 OFF = 10.0  # times e and the roundoff of s: by how much (1) may differ from s
-EPS = float(np.finfo(float).eps)
+EPS, TINY = float(np.finfo(float).eps), float(np.finfo(float).tiny)
 
 _K = np.arange(N + 1.0)
 _X = np.cos(np.pi * _K / N)
@@ -43,12 +45,15 @@ _RATE = np.array([np.append(chebyshev.chebder(row), 0.0) for row in np.eye(N + 1
 
 @dataclass(frozen=True)
 class TimePolynomial:
-    """(1) about a middle (s): r (s), coefficients of s, s' and s'' (N + 1, 3), by how much s may differ from the function."""
+    """(1) about a middle (s): r (s), coefficients of s, s' and s'' (N + 1, 3), by how much s may differ from the function, and
+    the larger left side of (2) over the right one.
+    """
 
     middle: float
     radius: float
     series: Array
     off: float
+    missed: float
 
     def rates(self, t: float, place: float) -> tuple[float, float] | None:
         """s' and s'' at a time where the function says ``place``; None where the polynomial does not."""
@@ -71,7 +76,7 @@ def falls(values: Sequence[float]) -> bool:
 def polynomial(
     values: Sequence[float], ends: tuple[float, float], served: tuple[float, float]
 ) -> TimePolynomial | None:
-    """That of values at :func:`times_between` both ends, for an interval that it is to serve; None where (2) does not hold."""
+    """That of values at :func:`times_between` both ends, to serve an interval; None where (2) is far from holding."""
     middle, radius = 0.5 * (ends[0] + ends[1]), 0.5 * (ends[1] - ends[0])
     size = float(np.abs(np.array(values)).max())
     c = _SERIES @ np.array(values)
@@ -81,17 +86,19 @@ def polynomial(
     rate = _RATE @ c
     curve = _RATE @ rate
 
+    missed = 0.0
     if e > SEEN * size:
         first, end = max((served[0] - middle) / radius, -1.0), min((served[1] - middle) / radius, 1.0)
         x = np.linspace(first, end, 9)
         T = np.cos(np.outer(np.arccos(x), _K))
         slopes, curves = _largest_derivatives(float(np.abs(x).max()))
-        rate_holds = e * slopes[: last + 1].sum() < RATE * np.abs(T @ rate).max()
-        curve_holds = e * curves[: last + 1].sum() < CURVE * np.abs(T @ curve).max()
-        if not (rate_holds and curve_holds):
+        of_rate = e * slopes[: last + 1].sum() / max(RATE * np.abs(T @ rate).max(), TINY)
+        of_curve = e * curves[: last + 1].sum() / max(CURVE * np.abs(T @ curve).max(), TINY)
+        missed = float(max(of_rate, of_curve))
+        if missed > MISSED:
             return None
     series = np.stack((c, rate / radius, curve / radius**2), axis=1)
-    return TimePolynomial(middle, radius, series, OFF * (e + EPS * size))
+    return TimePolynomial(middle, radius, series, OFF * (e + EPS * size), missed)
 
 
 def _largest_derivatives(x: float) -> tuple[Array, Array]:

@@ -314,7 +314,7 @@ class PrescribedMotions:
         """
         self.look(t_end, AHEAD)
         for follower in self.followers:
-            follower.motion.steps.break_at(follower.sharp)
+            follower.motion.smooth.break_at(follower.sharp)
         return tuple(sorted({t for follower in self.followers for t in follower.sharp if self._begun < t < t_end}))
 
     def look(self, t: float, steps: int = 1) -> None:

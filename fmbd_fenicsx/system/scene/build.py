@@ -213,7 +213,7 @@ def tell_break_points(scene: Scene) -> None:
     """Every prescribed motion and every target of a motor is smooth between the break points of its scene only."""
     for motion in _given(scene):
         if isinstance(motion, SmoothMotion):
-            motion.steps.break_at(scene.breakpoints)
+            motion.smooth.break_at(scene.breakpoints)
 
 
 def _given(scene: Scene) -> Iterator[Any]:
