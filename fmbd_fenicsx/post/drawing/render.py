@@ -45,7 +45,8 @@ class Renderer:
 
     def __init__(self, drawing: Drawing, view: View, *, size: tuple[int, int]) -> None:
         self.drawing, self.view, self.flat = drawing, view, drawing.dim == 2
-        self.pv = _pyvista()
+        self.pv = pyvista()
+        ensure_display()
         self.low, self.high = drawing.bounds()
         self.reach = float(np.linalg.norm(self.high - self.low)) or 1.0
         self.plotter = self.pv.Plotter(off_screen=True, window_size=list(size))
@@ -231,12 +232,12 @@ def strobe(drawing: Drawing, view: View, colors: Sequence[Any] | None, width: in
     return found
 
 
-def _pyvista() -> Any:
+def pyvista() -> Any:
+    """The library that draws; refused where it is not installed."""
     try:
         import pyvista as pv
     except ImportError as error:
         raise InputError("A picture needs pyvista: install fmbd_fenicsx[plot].") from error
-    ensure_display()
     return pv
 
 

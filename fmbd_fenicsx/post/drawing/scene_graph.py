@@ -1,4 +1,4 @@
-"""A drawing as data: pieces with a surface, edges and a motion. No drawing library is needed to make one.
+"""A drawing as data: pieces with a surface, edges and a motion. Only level sets need a drawing library.
 
 A piece says what it stands for (:class:`Role`), which triangles and edges it has, and where its points are at each instant:
 
