@@ -194,6 +194,17 @@ def test_spaces_of_slender_bodies_come_first(made: list[int]) -> None:
     assert len(run.history) == 1 and made == [48] and run.observed_order["tip"] == pytest.approx(2.0, abs=0.1)
 
 
+@pytest.mark.parametrize("name", ["clamped beam", "line"])
+def test_steps_are_foreseen_where_a_look_tells_little(name: str, made: list[int]) -> None:
+    """48 steps beside the 24 of the look say that 96 leave too much before these are made, and show the order afterwards."""
+    case = CASES[name]
+    tol = case.tolerances[1]
+    run = fmbd.solve(case.scene(), t_end=case.t_end, tol=case.tol(tol), output=fmbd.Output(progress=False))
+    assert {round(case.t_end / x.step) for x in run.history} == {24, 168} and not made
+    assert run.observed_order["tip"] == pytest.approx(2.0, abs=0.1)
+    assert run.certificate["tip"].sum > 0.2 * tol  # hardly more than it takes
+
+
 def test_loads_are_asked_once_at_a_time() -> None:
     """Ends of steps, between which jumps are looked for, are among the instants at which loads that come are."""
     asked: list[float] = []

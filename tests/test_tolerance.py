@@ -421,7 +421,7 @@ def test_a_tolerance_without_its_sensor_is_refused_with_the_remedy(tol: Any, wor
         fmbd.solve(pendulum(), t_end=0.1, tol=tol)
 
 
-@pytest.mark.parametrize(("name", "attempts"), [("mass on spring", 2), ("clamped beam", 4), ("geared chain", 2)])
+@pytest.mark.parametrize(("name", "attempts"), [("mass on spring", 2), ("clamped beam", 3), ("geared chain", 2)])
 def test_the_last_attempt_is_a_plain_run(name: str, attempts: int) -> None:
     """What attempts share, starts and tables of compiled steps, changes no number of a run."""
     case = CASES[name]

@@ -130,6 +130,12 @@ def on_coarser_meshes(plan: AttemptPlan, error: InputError) -> AttemptPlan:
     )
 
 
+def looking(wanted: Output) -> Output:
+    """What runs are asked for that only tell an error, where a whole one is asked for the wanted output."""
+    output = replace(wanted, every=1, energy=False, ledger=False, estimate_error=False)
+    return replace(output, snapshots=0, on_step=None, events=())
+
+
 def space_first(plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, wanted: Output) -> Looked | None:
     """A look at meshes that are new, by runs with the fewest steps that follow the motion; None where they are fine enough.
 
@@ -141,9 +147,7 @@ def space_first(plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, wanted:
     if "space" in plan.known.errors or not 0 < few < plan.steps or not meshed_bodies(plan.scene):
         return None
 
-    output = replace(wanted, every=1, energy=False, ledger=False, estimate_error=False)
-    output = replace(output, snapshots=0, on_step=None, events=())  # these belong to whole runs
-    seen = shared.look(plan.scene, plan.scheme, plan.schedule.with_steps(few), output)
+    seen = shared.look(plan.scene, plan.scheme, plan.schedule.with_steps(few), looking(wanted))
     spans, limit = moving(seen.recorder.series, plan.scene.sensors, FLOOR), space_limit(plan.scene)
     check_floor(plan.scene, spans, tol)
     errors, unstated = shared.space_error(

@@ -38,6 +38,7 @@ from ..estimates import usual_errors, warn_of_uncertain, with_damped, with_singl
 from .attempts import Attempt, of_jumps, of_space
 from .dear_attempt import tell_of_dear_attempt
 from .failures import Failures
+from .foreseen_steps import with_steps_foreseen
 from .next_attempt import (
     NEAR,
     SMALL,
@@ -210,6 +211,7 @@ def _one_more(
     begun = clock.perf_counter()
     try:
         looked = space_first(plan, tol, shared, wanted)
+        plan = plan if looked else with_steps_foreseen(plan, tol, shared, wanted)
     except UNFIT:
         plan, looked = _anew(plan), None
     if looked is not None:
