@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -20,13 +21,26 @@ def dense(A: Any) -> Array:
     return A.toarray() if sp.issparse(A) else np.asarray(A)
 
 
-def added(total: Any, block: Any, row: int, column: int) -> Any:
-    """A matrix with a block added at (row, column) of it, in place where it is dense."""
+def summed(total: Any, blocks: Iterable[tuple[Any, int, int]]) -> Any:
+    """A matrix with blocks added, each with its first row and column: in place where it is dense, else in one sum."""
     if isinstance(total, np.ndarray):
-        total[row : row + block.shape[0], column : column + block.shape[1]] += dense(block)
+        for block, row, column in blocks:
+            total[row : row + block.shape[0], column : column + block.shape[1]] += dense(block)
         return total
-    b = sp.coo_matrix(block)
-    return total + sp.csr_matrix((b.data, (b.row + row, b.col + column)), shape=total.shape)
+
+    found = [(_entries(block), row, column) for block, row, column in blocks]
+    if not found:
+        return total
+    rows, columns = (np.concatenate([x[i] + start[i] for x, *start in found]) for i in (0, 1))
+    return total + sp.csr_matrix((np.concatenate([x[2] for x, *_ in found]), (rows, columns)), shape=total.shape)
+
+
+def _entries(A: Any) -> tuple[Array, Array, Array]:
+    """Rows, columns and values of what is not zero."""
+    if sp.issparse(A):
+        return sp.find(A)  # type: ignore[no-any-return]
+    i, j = np.nonzero(A)
+    return i, j, A[i, j]
 
 
 def singular_values(A: Array, *, full: bool = True) -> tuple[Array, Array, Array]:

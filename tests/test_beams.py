@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import sys
+from collections import Counter
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -12,6 +15,7 @@ import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError
 from fmbd_fenicsx.mechanics.placements import FrameMotion
 from fmbd_fenicsx.mechanics.reduction.reduced import ReducedPart
+from fmbd_fenicsx.system.spins import held_mode
 
 L, EI, RHO_A = 1.0, 1.0, 1.0
 # torsion far above bending, but not so far that the roundoff of its eigenvalues, eps GJ / rhoI (pi n / L)^2, is seen in theirs
@@ -151,3 +155,46 @@ def test_the_centre_line_is_drawn_at_even_places(per_element: int) -> None:
     assert len(x) == 5 * per_element + 1
     steps = np.diff(x, axis=0)
     assert steps == pytest.approx(np.tile([0.6, 0.8], (len(steps), 1)) / len(steps), abs=1e-12)
+
+
+def _chain(count: int) -> fmbd.Scene:
+    """Beams on hinges, one after the other."""
+    scene, last = fmbd.Scene("chain", gravity=(0.0, -9.81)), fmbd.ground
+    law = {"youngs_modulus": 2e9, "poisson_ratio": 0.3, "density": 1000.0}
+    section = fmbd.Section.rectangle(**law, width=0.02, height=0.02)
+    for k in range(count):
+        beam = fmbd.Beam(f"{k}", (0.3 * k, 0.0), (0.3 * k + 0.3, 0.0), section, elements=1)
+        scene.add(beam, fmbd.revolute(f"pin {k}", last, beam.surface("start"), center=(0.3 * k, 0.0)))
+        last = beam.surface("end")
+    return scene
+
+
+def _entered(what: Callable[[], Any]) -> Counter[str]:
+    """Which functions written in C it enters, and how often."""
+    found: Counter[str] = Counter()
+    before = sys.getprofile()
+    sys.setprofile(lambda _, event, of: found.update([of.__name__] if event == "c_call" else ()))
+    try:
+        what()
+    finally:
+        sys.setprofile(before)
+    return found
+
+
+def test_a_chain_of_many_beams_costs_what_its_beams_cost() -> None:
+    """Matrices of all are summed once, not once a beam; nobody asks all joints for how one beam is held."""
+    runs, looks = [], []
+    for count in (40, 80):
+        fmbd.solve(_chain(count), t_end=2e-3, dt=1e-3)  # keeps its structure
+        scene = _chain(count)
+        runs.append(_entered(lambda scene=scene: fmbd.solve(scene, t_end=2e-3, dt=1e-3)))
+
+        system, state, _ = scene.build()
+        ev = system.at(state.t, state.q, state.v)
+        held_mode(ev, 0, system.parts[0])
+        looks.append(_entered(lambda ev=ev, part=system.parts[1]: held_mode(ev, 1, part)).total())
+
+    few, many = runs
+    assert many["csr_plus_csr"] == few["csr_plus_csr"] < 20
+    assert many.total() < 2.1 * few.total()
+    assert looks[0] == looks[1]

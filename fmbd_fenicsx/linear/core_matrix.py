@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ..matrices import added
+from ..matrices import summed
 from ..mechanics.placements import FrameMotion, Part
 from ..rotations import Array
 from ..system.evaluation import Evaluation
@@ -72,13 +72,13 @@ def _assembled(ev: Evaluation, frames: Array, blocks: list[LocalBlock]) -> Any:
     else:
         given = frames, np.arange(s.n_frames), np.arange(s.n_frames + 1)
         of_frames = sp.bsr_matrix(given, shape=(n * s.n_frames,) * 2)  # there may be no frames
-        out = added(sp.csr_matrix(shape, dtype=kind), of_frames, 0, 0)
+        out = summed(sp.csr_matrix(shape, dtype=kind), [(of_frames, 0, 0)])
 
+    placed: list[tuple[Any, int, int]] = []
     for block in blocks:
         own, frame = s.slices[1][block.k].start, block.part.frame * n
-        out = added(out, block.local, own, own)
+        placed.append((block.local, own, own))
         # parts on the ground have no frame that moves
         if block.part.frame < s.n_frames:
-            out = added(out, block.coupling, own, frame)
-            out = added(out, block.coupling.T, frame, own)
-    return out
+            placed += (block.coupling, own, frame), (block.coupling.T, frame, own)
+    return summed(out, placed)

@@ -339,7 +339,7 @@ def stiff_modes(ev: Evaluation) -> str:
     for k, part in free:
         if not any(_turns_with(ev, k, part, rows, block) for block in s.blocks):
             continue
-        all_modes, half = (mode_by_modes(ev, k, part, rows, n)[0] / (2 * np.pi) for n in (part.n, part.n // 2))
+        all_modes, half = (mode_by_modes(ev, k, part, n)[0] / (2 * np.pi) for n in (part.n, part.n // 2))
         if half > (1 + SHARE) * all_modes or np.isinf(all_modes):
             found = f"{_hertz(all_modes)} by all of them, {_hertz(half)} by half"
             return (

@@ -102,17 +102,14 @@ def held_mode(ev: Evaluation, k: int, part: Any) -> tuple[float, Array]:
     """omega_1 of (1) of body k, rad/s, infinite where joints hold all of its modes, and its shape on the local coordinates, in
     the frame; collective.
     """
-    s = ev.system
-    rows = np.concatenate(
-        [np.arange(b.rows.start, b.rows.stop) for b in s.blocks if b.kind != "frame"] or [np.zeros(0, int)]
-    )
     if isinstance(part, ReducedPart):
-        return mode_by_modes(ev, k, part, dense(ev.jacobian.core[rows]), part.n)
-    return _of_field(ev, k, part, ev.jacobian.port[rows][:, s.port_slice(k)])
+        return mode_by_modes(ev, k, part, part.n)
+    s = ev.system
+    return _of_field(ev, k, part, ev.jacobian.port[: s.n_rows, s.port_slice(k)])
 
 
-def mode_by_modes(ev: Evaluation, k: int, part: ReducedPart, rows: Array, count: int) -> tuple[float, Array]:
-    """(1) of the reduced body k by its first modes only, so many; ``rows`` of the joints on the core."""
+def mode_by_modes(ev: Evaluation, k: int, part: ReducedPart, count: int) -> tuple[float, Array]:
+    """(1) of the reduced body k by its first modes only, so many."""
     n, d = ev.system.motions.n_twist, ev.system.motions.dim
     rest = FrameMotion(ev.t, ev.rotation[part.frame], np.zeros(n), None, np.zeros(d))
     of_frame, across, of_modes = part.mass_blocks(rest, np.zeros(part.n))
@@ -122,7 +119,8 @@ def mode_by_modes(ev: Evaluation, k: int, part: ReducedPart, rows: Array, count:
 
     unit = np.sqrt(np.diag(M))
     first = ev.system.slices[1][k].start
-    J = np.hstack((rows[:, n * part.frame : n * (part.frame + 1)], rows[:, first : first + count])) / unit
+    moved = np.concatenate((n * part.frame + np.arange(n), first + np.arange(count)))
+    J = dense(ev.jacobian.columns[:, moved]) / unit
     V = sl.null_space(_of_length_one(J)) / unit[:, None]
     if not V.shape[1]:
         return np.inf, np.zeros(count)

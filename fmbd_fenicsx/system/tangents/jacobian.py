@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy.sparse as sp
 
-from ...matrices import added
+from ...matrices import summed
 from ...rotations import Array
 from ..layout import Layout
 
@@ -82,26 +84,26 @@ class Jacobian:
         pattern, side = self._sides(ev)
         self.core: Any = pattern.core((side[:, None, :] @ ev.kin.jac_frame[pattern.markers])[:, 0])
 
-        large = s.n_lam * s.n_port > PORT_LIMIT
-        self.port: Any = (sp.lil_matrix if large else np.zeros)((s.n_lam, s.n_port))
+        large, shape = s.n_lam * s.n_port > PORT_LIMIT, (s.n_lam, s.n_port)
+        self.port: Any = sp.csr_matrix(shape) if large else np.zeros(shape)
         if not s.parts:
             return
 
         if pattern.on.size:
             self._add_surfaces(ev, pattern, side)
-        for laws, span in s.port_constraints:
-            self.port[span, s.port_slice(laws.part)] += laws.jacobian(ev.port[s.port_slice(laws.part)], ev.t)
-        # conditions of frames are ports by themselves
-        for k, rows in enumerate(s.frame_rows):
-            start = s.port_slice(k).start
-            count = s.parts[k].n_frame_rows
-            self.port[rows, start : start + count] = np.eye(count)
-
-        if large:
-            self.port = self.port.tocsr()
+        self.port = summed(self.port, self._own_ports(ev))
         for tie, span in s.traces:
             self._add_tie(tie, span, ev)
         self._fold()
+
+    def _own_ports(self, ev: Evaluation) -> Iterator[tuple[Any, int, int]]:
+        """Blocks of laws on ports, and of conditions of frames, which are ports by themselves: with their first row and port."""
+        s = self.system
+        for laws, span in s.port_constraints:
+            ports = s.port_slice(laws.part)
+            yield laws.jacobian(ev.port[ports], ev.t), span.start, ports.start
+        for k, rows in enumerate(s.frame_rows):
+            yield np.eye(s.parts[k].n_frame_rows), rows.start, s.port_slice(k).start
 
     @staticmethod
     def _sides(ev: Evaluation) -> tuple[CorePattern, Array]:
@@ -129,7 +131,7 @@ class Jacobian:
             np.add.at(self.port, (at[:, None], ports), entries)
         else:
             index = (np.repeat(at, entries.shape[1]), ports.ravel())
-            self.port += sp.coo_matrix((entries.ravel(), index), shape=self.port.shape).tolil()
+            self.port = self.port + sp.csr_matrix((entries.ravel(), index), shape=self.port.shape)
 
     def active(self, span: slice) -> np.ndarray:
         """Which of some ports a row acts on, (ports,)."""
@@ -143,18 +145,34 @@ class Jacobian:
             if kind == "port":
                 # an elastic side: columns of its ports
                 side = tie.sides[number]
-                self.port = added(self.port, block, rows.start, s.port_slice(side.part).start + side.ports.start)
+                self.port = summed(self.port, [(block, rows.start, s.port_slice(side.part).start + side.ports.start)])
             else:
                 # a rigid side: columns of its frame
-                self.core = added(self.core, block, rows.start, number * n)
+                self.core = summed(self.core, [(block, rows.start, number * n)])
 
     def _fold(self) -> None:
         """Ports of replicated parts into the core."""
         s = self.system
-        for k, p in s.core_parts:
-            matrix = p.port_matrix + self.bent[k].matrix if k in self.bent else p.port_matrix
-            if p.n_port:
-                self.core = added(self.core, self.port[:, s.port_slice(k)] @ matrix, 0, s.slices[1][k].start)
+        parts = [
+            (
+                p.port_matrix + self.bent[k].matrix if k in self.bent else p.port_matrix,
+                s.port_slice(k),
+                s.slices[1][k].start,
+            )
+            for k, p in s.core_parts
+            if p.n_port
+        ]
+        if isinstance(self.core, np.ndarray):
+            self.core = summed(self.core, ((self.port[:, ports] @ matrix, 0, at) for matrix, ports, at in parts))
+        elif parts:
+            # of many bodies one product, as each row has few ports
+            blocks = ((matrix, ports.start, at) for matrix, ports, at in parts)
+            self.core = self.core + sp.csr_matrix(self.port) @ summed(sp.csr_matrix((s.n_port, s.n_core)), blocks)
+
+    @cached_property
+    def columns(self) -> Any:
+        """``core`` as it gives columns fast."""
+        return sp.csc_matrix(self.core) if sp.issparse(self.core) else self.core
 
     def times(self, v: Array) -> Array:
         """G v, (n_lam,); collective."""
