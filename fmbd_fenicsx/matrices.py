@@ -35,10 +35,11 @@ def summed(total: Any, blocks: Iterable[tuple[Any, int, int]]) -> Any:
     return total + sp.csr_matrix((np.concatenate([x[2] for x, *_ in found]), (rows, columns)), shape=total.shape)
 
 
-def _entries(A: Any) -> tuple[Array, Array, Array]:
+def _entries(A: Any) -> tuple[Any, Any, Any]:
     """Rows, columns and values of what is not zero."""
     if sp.issparse(A):
-        return sp.find(A)  # type: ignore[no-any-return]
+        rows, columns, values = sp.find(A)
+        return rows, columns, values
     i, j = np.nonzero(A)
     return i, j, A[i, j]
 
