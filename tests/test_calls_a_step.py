@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable
 from typing import Any
@@ -243,6 +244,31 @@ def test_calls_of_a_sample_between_recorded_steps(scheme: Any, period: int) -> N
     run(3)
     few, many = (calls_of(lambda n=n: run(n)) for n in (3, 13))
     assert (many - few) / 10 < RECORDED
+
+
+@compiled
+@pytest.mark.parametrize(("scheme", "every"), [(SCHEMES[0], None), (SCHEMES[2], 20 * DT)])
+def test_calls_of_recorded_efforts(scheme: Any, every: float | None) -> None:
+    """Records have the efforts of controllers, of several coordinates too: no state is read on its own."""
+
+    def run(steps: int, sensors: int, *, alone: bool = False) -> fmbd.Run:
+        scene, _ = chain(4)
+        s = [fmbd.angle(scene.joints[f"pin {k}"]) for k in range(4)]
+        law = lambda t, y, z: ((-20 * y["s"][0] + z[0], np.sin(5 * t)), (1.0 - z[0],))  # noqa: E731
+        two = fmbd.controller("two", reads={"s": s[0]}, acts=s[:2], law=law, memory=(0.0,), every=every)
+        scene.add(two, fmbd.pid("pid", s[2], target=0.3, gains=(40.0, 10.0, 4.0), every=every))
+        kinds = (fmbd.element_effort, fmbd.element_power, fmbd.elongation)[:sensors]
+        for name, kind in itertools.product(("two", "pid"), kinds):
+            scene.sensor(f"{kind.__name__} {name}", kind(name))
+        output = fmbd.Output(progress=False, ledger=alone)
+        return fmbd.solve(scene, t_end=steps * DT, dt=DT, scheme=scheme, output=output)
+
+    run(20, 3)
+    found = [calls_of(lambda n=n, k=k: run(n, k)) for n in (20, 40) for k in (0, 3)]
+    assert found[3] - found[1] < found[2] - found[0] + 20 * AROUND
+    told, read = run(40, 3), run(40, 3, alone=True)
+    assert told["element_effort two"].shape == (41, 2)
+    assert all(x == pytest.approx(read[name], rel=1e-12, abs=1e-12) for name, x in told.series.items())
 
 
 @compiled

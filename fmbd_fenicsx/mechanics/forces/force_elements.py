@@ -105,6 +105,16 @@ class Loads:
         """Efforts that stay the same between samples."""
         return []
 
+    @property
+    def called(self) -> bool:
+        """Whether a law that reads more than its own coordinate is called at every evaluation."""
+        return False
+
+    @property
+    def told(self) -> bool:
+        """Whether compiled steps have efforts of its own that may have a memory."""
+        return self.called or bool(self.formulas() or self.sampled())
+
     def mounts(self) -> tuple[Array, Array] | None:
         """Of bushings: K and C (m, n, n) in the axes of markers a; None for others."""
         return None

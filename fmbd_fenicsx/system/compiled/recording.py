@@ -63,8 +63,9 @@ class Look:
 def readable(system: System, look: Look) -> bool:
     """Whether the driver can write what is looked at."""
     if look.element:
-        scalar = [f for f in system.forces if type(f) is ScalarLoads or f.formulas()]
-        return any(look.element == x.name for f in scalar for x in f.forces)
+        scalar = [f for f in system.forces if type(f) is ScalarLoads or f.told]
+        count = sum([look.element == x.name for f in scalar for x in f.forces])
+        return count == 1 or (count > 1 and look.side < 0)  # wrenches on several coordinates have no point in common
     if look.relative is None:
         return True
     angles = [term for term in look.relative.summands if term.angular]
@@ -119,14 +120,17 @@ class Looks:
         self.count += count
         return np.arange(self.count - count, self.count)
 
-    def slots_of(self, loads: Loads) -> np.ndarray | None:
-        """Numbers of the elements of a batch that are read or store energy in a law, -1 for the others; None without any."""
+    def slots_of(self, loads: Loads, number: int | None = None) -> np.ndarray | None:
+        """Numbers of the elements of a batch, or of one, that are read or store energy in a law, -1 for the others; None without
+        any.
+        """
         out = np.full(len(loads.forces), -1)
         for i, f in enumerate(loads.forces):
-            if f.name in self.slots:
-                out[i] = self.slots[f.name].start
-            elif f.name in self.elements or f in self._storing:
-                out[i] = self.take_slots(f.name, 1)[0]
+            if f.name in self.elements or f in self._storing:
+                if f.name not in self.slots:
+                    self.take_slots(f.name, loads.forces.count(f))
+                out[i] = self.slots[f.name].start + i - loads.forces.index(f)
+        out = out if number is None else out[number : number + 1]
         return out if (out >= 0).any() else None
 
     @cached_property

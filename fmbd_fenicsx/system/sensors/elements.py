@@ -125,7 +125,7 @@ class ElementPower(_ElementSensor):
     def series(self, seen: Recorded, marker: int) -> Array:
         """- N s', (k, 1)."""
         found = seen.reading(self.element)
-        return np.asarray(-found[:, :, 2] * found[:, :, 1])
+        return np.asarray((-found[:, :, 2] * found[:, :, 1]).sum(axis=1, keepdims=True))
 
 
 def _pushing(what: str, element: Any) -> Force:

@@ -25,12 +25,12 @@ void drift(System *s)
 static int readings(System *s, double t, double *found)
 {
     for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
-        if (!k->slot) continue;
+        if (!k->slot && !k->told) continue;
         values(s, k);
         int verdict = efforts(s, k, t);
         if (verdict) return verdict;
 
-        for (long i = 0; i < k->n; i++) {
+        for (long i = 0; k->slot && i < k->n; i++) {
             if (k->slot[i] < 0) continue;
             double *one = found + 3 * k->slot[i];
             one[0] = k->s[i] - k->free[i];

@@ -28,7 +28,6 @@ from .....mechanics.joints.relative import CoordinateSums, RelativeCoordinates
 from .....mechanics.kinds.derivation import Kind, kinds
 from .....mechanics.kinds.sums import sum_kind
 from .....rotations import Array
-from ....control.controllers import ControlLoads
 from ....system import System
 from ...declarations import enumeration
 from ...recording import Looks
@@ -251,7 +250,7 @@ def items_of(
             out += _loads(loads, dim)
         elif type(loads) is ScalarLoads:
             out += _efforts(loads, looks)
-        out += _formulas(loads, looks) + _sampled(loads)
+        out += _formulas(loads, looks) + _sampled(loads, looks)
 
     out += control
     for key, relative in looks.relatives:
@@ -261,11 +260,12 @@ def items_of(
     return out + [of_source(relative, READ) for relative in coordinates]
 
 
-def _sampled(loads: Loads) -> list[Items]:
+def _sampled(loads: Loads, looks: Looks) -> list[Items]:
     """Items of efforts that stay the same between samples."""
     out = []
-    for one in loads.sampled():
+    for i, one in enumerate(loads.sampled()):
         made = of_source(one.on, GIVEN)
+        made.slot = looks.slots_of(loads, i)
         made.effort, made.sampled = np.zeros(len(made)), one.effort
         out.append(made)
     return out
@@ -274,15 +274,10 @@ def _sampled(loads: Loads) -> list[Items]:
 def other_loads(system: System) -> list[Loads]:
     """Forces that Python evaluates as a whole."""
     known = TimeLoads, ScalarLoads
-    rest = [f for f in system.forces if type(f) not in known and not _keeps(f)]
+    rest = [f for f in system.forces if type(f) not in known and not f.told]
     return [f for f in rest if f.mounts() is None]
-
-
-def _keeps(loads: Loads) -> bool:
-    """Whether the driver has the efforts of a load that may have a memory."""
-    return bool(loads.formulas() or loads.sampled()) or (isinstance(loads, ControlLoads) and loads.called)
 
 
 def covers(system: System) -> bool:
     """Whether all forces with a memory are formulas or controllers, and all others items, or loads that Python can evaluate."""
-    return all(_keeps(loads) for loads in system.forces if loads.kept is not None)
+    return all(loads.told for loads in system.forces if loads.kept is not None)

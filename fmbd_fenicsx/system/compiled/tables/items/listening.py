@@ -75,8 +75,8 @@ class Listening:
 
         self._acting = [[of_source(on, LAW) for on in one.loads.acts] for one in self.listeners]
         for one, acting in zip(self.listeners, self._acting, strict=True):
-            for items in acting:
-                items.linked = one.crossed
+            for i, items in enumerate(acting):
+                items.linked, items.slot = one.crossed, tables.looks.slots_of(one.loads, i)
         self.items = list(self._told.values()) + [items for acting in self._acting for items in acting]
         self.markers = np.array(sorted({r.marker for r in self.readings if r.relative is None}), dtype=int)
 
