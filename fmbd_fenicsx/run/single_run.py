@@ -17,13 +17,12 @@ from ..schemes.newton import Newton
 from ..system.element_memory import memories
 from ..system.scene.plan import make_plan
 from ..system.scene.scene import Scene
-from .acceleration_jumps import warn_of_acceleration_jumps
 from .accuracy.companion_runs import Compared
 from .built import Built, ConsistentStart
 from .doubts import warn_of_doubts, warn_of_halvings
+from .judges.functions_of_time import warn_of_acceleration_jumps, warn_of_short_tables
 from .judges.prescribed_motions import ending_at_kinks
 from .judges.rank_advice import advise_on_ranks
-from .judges.tables_in_time import warn_of_short_tables
 from .judges.turning_rows import warn_of_turning_rows
 from .loads_ahead import seeing_loads
 from .problem import Problem, make_solver

@@ -25,8 +25,7 @@ from .judges.energy_check import closed
 from .judges.prescribed_motions import PrescribedMotions
 from .problem import Problem, judges_of, make_stepper
 from .recording.moment import Moment
-from .recording.output import Output
-from .recording.planned import MANY_STEPS, judge_plan
+from .recording.output import MANY_STEPS, Output, judge_plan
 from .recording.progress_bar import Progress
 from .recording.recorder import Recorder
 from .schedule import StepSchedule

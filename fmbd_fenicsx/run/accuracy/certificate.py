@@ -112,7 +112,7 @@ def stated_of(run: Run, sensors: Iterable[str]) -> Certificate:
     """What a run states of some sensors, but for what makes it uncertain, which takes a look at all of its records.
 
     The error of algebra is that of Newton's iteration: what it left on average, relative to accelerations and reactions, as a
-    share of the range of each sensor, or as it was measured (:mod:`.algebra`). The total adds errors of known signs, see
+    share of the range of each sensor, or as it was measured (:mod:`.beside_steps`). The total adds errors of known signs, see
     :func:`.deviation.added_up`.
     """
     reduced, meshed = bool(modal_bodies(run.scene)), bool(meshed_bodies(run.scene))

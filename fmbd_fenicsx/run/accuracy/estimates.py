@@ -10,10 +10,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...log import log
+from ...mechanics.reduction.reduced import ReducedPart, reduced_part
 from ...notices import Gathered
 from ...schemes.declared import Declared
 from ...schemes.error_norm import FINEST
+from ...system.layout import State
 from ...system.scene.scene import Scene
+from ...system.system import System
 from ..built import Built
 from ..loads_ahead import PASSED, loads_ahead
 from ..problem import Problem
@@ -22,16 +25,13 @@ from ..recording.output import Output
 from ..recording.recorder import Recorder
 from ..schedule import StepSchedule
 from ..time_loop import Marched
-from .algebra import algebra_error, tighter_run
+from .beside_steps import algebra_error, damped_vibrations, tighter_run, with_early_rest
 from .certificate import HIDDEN, kinked, moving, stated_of, uncertain_of
 from .companion_runs import UNFIT, Compared, as_recorded, companion
-from .damped import damped_vibrations
 from .deviation import Deviation, at_least, scaled
-from .early_rest import with_early_rest
 from .equal_steps import equal_steps_error
 from .jumps_in_time import jumps_about_kinks
 from .orders import expected_orders, seen_by_ends
-from .refined_basis import finer_system
 from .search.space_levels import finer_scene, space_deviations, unended
 
 if TYPE_CHECKING:
@@ -382,3 +382,31 @@ def warn_of_uncertain(run: Run, sensors: Iterable[str]) -> None:
     for why in uncertain_of(run, stated_of(run, sensors)).values():
         log.warning("%s.", why)
         run.warnings.append(f"{why}.")
+
+
+def finer_system(system: System, state: State) -> tuple[System, State] | None:
+    """The same system and its state as given, with reduced bodies and beams by their finer bases; collective.
+
+    Frames, ports, constraints and forces are the same. None where there is no reduced body. Computed once for each body.
+    """
+    m = system.motions
+    parts: list[Any] = []
+    q = [state.q[: system.counted_angles.stop]]
+    v = [state.v[: system.n_frames * m.n_twist]]
+
+    # frames stay; local coordinates begin anew in the finer basis
+    for k, part in enumerate(system.parts):
+        local = system.local_q(state.q, k), system.local_v(state.v, k)
+        if isinstance(part, ReducedPart):
+            body = part.body.with_refined_basis(part.surfaces)
+            part = reduced_part(body, part.frame, part.surfaces)
+            local = body.start_local()
+        parts.append(part)
+        q.append(local[0])
+        v.append(local[1])
+
+    if not any(isinstance(p, ReducedPart) for p in parts):
+        return None
+    finer = replace(system, parts=tuple(parts), cache={})
+    zero = np.zeros(finer.n_v)
+    return finer, State(state.t, np.concatenate(q), np.concatenate(v), zero, np.zeros(finer.n_lam))

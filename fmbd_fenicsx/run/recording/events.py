@@ -2,7 +2,7 @@
 
 After each step the value at its end is compared with that at its start, in compiled steps by C where the value is a number of
 the record; where the sign of (value - level) has changed, the
-instant is located on the dense output of the step (:mod:`.between`) by Brent's method, to the accuracy of that polynomial. Steps
+instant is located on the dense output of the step (:mod:`.instants`) by Brent's method, to the accuracy of that polynomial. Steps
 of schemes with error control are large: there values at quarters of the step are looked at too, of all steps of a compiled call
 at once, and where the quartic through these crosses between them. Two crossings in a constant step cancel out.
 """
@@ -27,7 +27,7 @@ from ...system.compiled.tape import CROSSING, Tape
 from ...system.layout import State
 from ...system.scene.scene import Scene
 from ...system.system import System
-from .between import state_between, states_within
+from .instants import state_between, states_within
 from .moment import Moment
 
 QUARTERS = (0.25, 0.5, 0.75)

@@ -5,13 +5,17 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ...checks import check_fields, instance, vector, whole
 from ...errors import InputError, require
+from ...log import log
 from ...system.system import System
+
+if TYPE_CHECKING:
+    from .recorder import Recorder
 
 
 @dataclass(frozen=True)
@@ -28,6 +32,8 @@ class PerSecond:
 
 SHARE = 0.5  # of the machine's memory that snapshots may take
 ROUNDING = 1e-12  # share by which a time may be after the end of a run
+MANY_STEPS = 10_000_000  # up to which there is nothing to say
+STEP, LONG = 1e-5, 3600.0  # s of the clock that a step of a few bodies takes, and a run that is told of
 MOST = 10_000_000  # snapshots of which even the times are too many
 
 
@@ -167,4 +173,35 @@ def refuse_too_many(output: Output, system: System, t_end: float, steps: int) ->
             f"Output: snapshots = {output.snapshots}: {number:.3g} states of {size / 2**20:.3g} MiB take "
             f"{number * size / 2**30:.3g} GiB, and this machine has {memory / 2**30:.3g} GiB. "
             f"Take at most {min(MOST, int(SHARE * memory / size))}."
+        )
+
+
+def judge_plan(recorder: Recorder, steps: int) -> None:
+    """Refuse records that would fill the memory, by the size of the first, and tell of steps that take hours: a time in a wrong
+    unit asks for milliards.
+
+    An event that ends the run may come at any time: nothing is known then.
+    """
+    output = recorder.output
+    if any(event.then is None for event in output.events):
+        return
+    span = recorder.t_end - recorder.scene.begins
+    planned = f"{steps:.3g} steps of {span / steps:.3g} s up to t_end = {recorder.t_end:g} s (is one of them in another unit?)"
+
+    rows = (recorder.moments, *recorder.energies.values(), *recorder.values.values())
+    size = 8.0 + sum(piece.nbytes for kept in rows for piece in kept)
+    records, memory = (recorder.expected, machine_memory()) if recorder.instants is None else (0, 1.0)
+    if records * size > SHARE * memory:
+        every = int(-(-steps * size // (SHARE * memory)))
+        raise InputError(
+            f"{planned} make {records:.3g} records of {size:.0f} bytes, {records * size / 2**30:.3g} GiB, and this machine has "
+            f"{memory / 2**30:.3g} GiB. Take a larger dt or a shorter run, or record less: Output(every={every}) or more, or "
+            "Output(times=...)."
+        )
+    if steps * STEP > LONG:
+        log.warning(
+            "%s take some %.2g hours, at the %g us that a step of a few bodies takes",
+            planned,
+            steps * STEP / 3600.0,
+            1e6 * STEP,
         )

@@ -19,9 +19,8 @@ from ...system.layout import State
 from ...system.scene.scene import Scene
 from ...system.serialisation import Memory
 from ...system.system import System
-from .between import states_within
 from .drift import Drift
-from .instants import Instants
+from .instants import Instants, states_within
 from .ledger import Bookkeeper
 from .output import MOST, ROUNDING, Output
 from .rows import Records, StepNumbers

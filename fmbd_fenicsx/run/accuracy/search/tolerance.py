@@ -28,11 +28,10 @@ from ...result import Run
 from ...schedule import step_schedule
 from ...settings import check_tangent, default_scheme
 from ...single_run import Solved
+from ..beside_steps import damped_vibrations, with_early_rest
 from ..certificate import FLOOR, Certificate, moving, stated_of
 from ..companion_runs import UNFIT, Compared
-from ..damped import damped_vibrations
 from ..deviation import Deviation
-from ..early_rest import with_early_rest
 from ..equal_steps import Orders, TimeError, astray, between, known_orders
 from ..estimates import usual_errors, warn_of_uncertain, with_damped, with_single_ends
 from .attempts import Attempt, of_jumps, of_space
