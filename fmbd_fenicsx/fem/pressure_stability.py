@@ -16,6 +16,7 @@ import numpy as np
 from .. import dolfinx_compat as compat
 from ..rotations import Array
 from .factors.factor import by_mumps
+from .traces.stability import BodyNorm
 
 
 class _SchurComplement:
@@ -45,14 +46,12 @@ def infsup_pressure(mesh: Any, degree: int, pressure: int | None = None, *, clam
     from petsc4py import PETSc
     from slepc4py import SLEPc
 
-    A, M, B = _matrices(mesh, degree, degree - 1 if pressure is None else pressure, clamped)
-    ksp = PETSc.KSP().create(A.comm)
-    ksp.setOperators(A)
-    by_mumps(ksp, "lu")
-    shell = PETSc.Mat().createPython(M.getSizes(), _SchurComplement(B, ksp), comm=A.comm)
+    norm = BodyNorm(mesh, degree, clamped=clamped, length=mesh.extent, vector=True)
+    M, B = _of_pressure(norm, degree - 1 if pressure is None else pressure)
+    shell = PETSc.Mat().createPython(M.getSizes(), _SchurComplement(B, norm.ksp), comm=M.comm)
     shell.setUp()
 
-    eps = SLEPc.EPS().create(A.comm)
+    eps = SLEPc.EPS().create(M.comm)
     by_mumps(eps.getST().getKSP(), "lu")
     eps.setOperators(shell, M)
     eps.setProblemType(SLEPc.EPS.ProblemType.GHEP)
@@ -62,34 +61,21 @@ def infsup_pressure(mesh: Any, degree: int, pressure: int | None = None, *, clam
     eps.solve()
 
     found = np.sqrt(np.maximum([eps.getEigenvalue(i).real for i in range(min(3, eps.getConverged()))], 0.0))
-    for thing in (eps, shell, ksp, A, B, M):
+    for thing in (eps, shell, norm, B, M):
         thing.destroy()
     return np.asarray(found)
 
 
-def _matrices(mesh: Any, degree: int, pressure: int, clamped: tuple[str, ...]) -> tuple[Any, Any, Any]:
-    """A, M and B of (1)."""
+def _of_pressure(norm: BodyNorm, degree: int) -> tuple[Any, Any]:
+    """M and B of (1)."""
     import dolfinx.fem.petsc as fp
     import ufl
     from dolfinx import fem
 
-    msh = mesh.dolfinx
-    V = fem.functionspace(msh, ("Lagrange", degree, (mesh.dim,)))
-    Q = fem.functionspace(msh, ("Lagrange", pressure))
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    p, q = ufl.TrialFunction(Q), ufl.TestFunction(Q)
-
-    tags = [mesh.facets(s) for s in clamped]
-    facets = np.sort(np.concatenate(tags)) if tags else np.zeros(0, dtype=np.int32)
-    dofs = fem.locate_dofs_topological(V, mesh.dim - 1, facets)
-    held = [fem.dirichletbc(np.zeros(mesh.dim), dofs, V)]
-
-    # the H1 norm, with a length that makes its terms comparable
-    length = fem.Constant(msh, float(mesh.extent))
-    a = (ufl.inner(ufl.grad(u), ufl.grad(v)) + ufl.inner(u, v) / length**2) * ufl.dx
-    A = fp.assemble_matrix(compat.form(a), held)
+    Q = fem.functionspace(norm.space.mesh, ("Lagrange", degree))
+    u, p, q = ufl.TrialFunction(norm.space), ufl.TrialFunction(Q), ufl.TestFunction(Q)
     M = fp.assemble_matrix(compat.form(p * q * ufl.dx))
-    B = fp.assemble_matrix(compat.form(q * ufl.div(u) * ufl.dx), held)
-    for matrix in (A, M, B):
+    B = fp.assemble_matrix(compat.form(q * ufl.div(u) * ufl.dx), norm.held)
+    for matrix in (M, B):
         matrix.assemble()
-    return A, M, B
+    return M, B

@@ -1,12 +1,18 @@
-"""Animations of a run: its drawing in motion, beside it the histories of sensors with a moving dot. GIF, MP4, or a web page.
+"""Animations of a run: its drawing in motion, beside it the histories of sensors with a moving dot. GIF, MP4, or a web page, that
+a notebook or the web browser of this machine shows.
 
 Drawn without a window on rank 0; the drawing is gathered on all ranks.
 """
 
 from __future__ import annotations
 
+import html
+import os
 import shutil
 import subprocess
+import sys
+import tempfile
+import webbrowser
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -108,6 +114,41 @@ def make_story(run: Run, sensors: Sequence[str] | str, view: View, paint: Paint 
     lasts = usual if seconds is None else float(seconds)
     require(np.isfinite(lasts) and lasts > 0, f"Animation: seconds = {seconds} must be positive.")
     return Story(run, drawing, view, names, lasts)
+
+
+@dataclass(frozen=True, repr=False)
+class Shown:
+    """A page that a notebook shows as the last expression of a cell."""
+
+    page: str
+
+    def _repr_html_(self) -> str:
+        style = "width: 100%; height: 520px; border: 0"
+        return f'<iframe srcdoc="{html.escape(self.page)}" style="{style}"></iframe>'
+
+    def __repr__(self) -> str:
+        return f"<animation, {len(self.page) // 1000} kB>"
+
+
+def show(run: Run, *, sensors: Sequence[str] | str = (), view: View | None = None, paint: Paint | None = None) -> Any:
+    """See :meth:`fmbd_fenicsx.Run.show`; collective."""
+    story = make_story(run, sensors, view or View(), paint, None)
+    from .webpage import page
+
+    if "ipykernel" in sys.modules:
+        return Shown(page(story))
+
+    # what says that there is a screen; macOS has always one
+    if not any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")) and sys.platform != "darwin":
+        raise InputError('There is no screen here. run.animate("run.html") writes a page that any browser shows.')
+
+    def open_page() -> None:
+        file = Path(tempfile.mkdtemp(prefix="fmbd_")) / "run.html"
+        file.write_text(page(story), encoding="utf-8")
+        webbrowser.open(file.as_uri())
+
+    on_root(run.system.comm, open_page)
+    return None
 
 
 # -- frames ------------------------------------------------------------------------------------------------------

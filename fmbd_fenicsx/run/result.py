@@ -302,7 +302,7 @@ class Run(Uncopied):
 
         Raises InputError without snapshots, and where there is neither a notebook nor a screen.
         """
-        from ..post.webpage import show
+        from ..post.animation import show
 
         return show(self, sensors=sensors, view=view, paint=paint)
 

@@ -20,7 +20,7 @@ from ..system.scene.scene import Scene
 from .accuracy.companion_runs import Compared
 from .built import Built, ConsistentStart
 from .doubts import warn_of_doubts, warn_of_halvings
-from .judges.functions_of_time import warn_of_acceleration_jumps, warn_of_short_tables
+from .functions_of_time import warn_of_acceleration_jumps, warn_of_short_tables
 from .judges.prescribed_motions import ending_at_kinks
 from .judges.rank_advice import advise_on_ranks
 from .judges.turning_rows import warn_of_turning_rows

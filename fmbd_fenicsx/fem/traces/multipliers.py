@@ -60,15 +60,6 @@ class Multipliers:
         """The columns of :meth:`coupling` for the nodes that this rank owns, (n, n_owned)."""
         return self.trace.columns(self.coupling())
 
-    def mass(self, weight: Array | None = None) -> sp.csr_matrix:
-        """int mu_i mu_j (times a facet-wise weight), (n, n)."""
-        t = self.trace
-        w = t.sizes if weight is None else t.sizes * weight
-        blocks = w[:, None, None] * reference_mass(t.dim - 1, self.degree, self.degree)
-        k = blocks.shape[1]
-        rows = np.arange(len(w) * k).reshape(len(w), k)
-        return (self.broken(blocks, rows, rows.size) @ self.basis.T).tocsr()
-
     def integrals(self, function: Callable[[Array], Array]) -> Array:
         """int mu_j f of a function of points (n, d) -> (n, c) or (n,); (n, c)."""
         blocks = self.trace.integrals(function, self.degree, self.degree + 6)

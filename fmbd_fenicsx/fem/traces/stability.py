@@ -120,9 +120,11 @@ class DualNorm:
 
 
 class BodyNorm:
-    """(A^-1 restricted to a surface) for the scalar space of a body: products B A^-1 B^T; collective."""
+    """A of the scalar space of a body, or of its displacements (``vector``), and products B A^-1 B^T; collective."""
 
-    def __init__(self, mesh: Any, degree: int, *, clamped: tuple[str, ...] = (), length: float = 1.0) -> None:
+    def __init__(
+        self, mesh: Any, degree: int, *, clamped: tuple[str, ...] = (), length: float = 1.0, vector: bool = False
+    ) -> None:
         import dolfinx.fem.petsc as fp
         import ufl
         from dolfinx import fem
@@ -130,9 +132,10 @@ class BodyNorm:
 
         msh = mesh.dolfinx
         self.mesh, self.comm = mesh, msh.comm
-        self.space = V = fem.functionspace(msh, ("Lagrange", degree))
+        shape = (mesh.dim,) if vector else ()
+        self.space = V = fem.functionspace(msh, ("Lagrange", degree, shape))
         u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-        a = (ufl.inner(ufl.grad(u), ufl.grad(v)) + u * v / fem.Constant(msh, float(length) ** 2)) * ufl.dx
+        a = (ufl.inner(ufl.grad(u), ufl.grad(v)) + ufl.inner(u, v) / fem.Constant(msh, float(length) ** 2)) * ufl.dx
 
         tags = [mesh.facets(s) for s in clamped]
         facets = np.concatenate(tags) if tags else np.zeros(0, dtype=np.int32)
@@ -140,7 +143,8 @@ class BodyNorm:
         self.fixed = np.zeros(V.dofmap.index_map.size_local, dtype=bool)
         self.fixed[dofs[dofs < len(self.fixed)]] = True
 
-        self.A = fp.assemble_matrix(compat.form(a), [fem.dirichletbc(0.0, dofs, V)])
+        self.held = [fem.dirichletbc(np.zeros(shape), dofs, V)]
+        self.A = fp.assemble_matrix(compat.form(a), self.held)
         self.A.assemble()
         self.A.setOption(PETSc.Mat.Option.SPD, True)
 

@@ -129,11 +129,6 @@ class Stiffening:
         stress, self._p0 = field.stress_form(self._u0, v)
         self.matrix_form = compat.form(geometric_form(stress, v, u))
 
-    @property
-    def count(self) -> int:
-        """Number of :meth:`coefficients`."""
-        return int(self._all.shape[1])
-
     def coefficients(self, inertia: Array, t: float, R: Array) -> Array:
         """Of inertia (a, L), (d + d^2,), and of the loads at time t in the axes R."""
         axes = np.eye(self.field.dim)

@@ -13,19 +13,19 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import FmbdError
-from ...log import log
-from ...mechanics.forces.effort_laws import Feedback
-from ...mechanics.forces.forces import OfTime
-from ...mechanics.joints.constraints import standstill
-from ...mechanics.joints.couplings import SmoothMotion
-from ...rotations import Array
-from ...system.scene.scene import Scene
-from ...system.system import System
-from ..accuracy.jumps_in_time import instants, jumps_in_time
-from ..named_times import functions_of
-from ..schedule import StepSchedule, far_side, near_side
-from .prescribed_motions import prescribed
+from ..errors import FmbdError
+from ..log import log
+from ..mechanics.forces.effort_laws import Feedback
+from ..mechanics.forces.forces import OfTime
+from ..mechanics.joints.constraints import standstill
+from ..mechanics.joints.couplings import SmoothMotion
+from ..rotations import Array
+from ..system.scene.scene import Scene
+from ..system.system import System
+from .accuracy.jumps_in_time import instants, jumps_in_time
+from .judges.prescribed_motions import prescribed
+from .named_times import functions_of
+from .schedule import StepSchedule, far_side, near_side
 
 SHARE = 0.05  # of the largest acceleration: a jump that is told
 NAMED = 6  # instants in a message
