@@ -15,7 +15,6 @@ from fmbd_fenicsx.schemes.consistent import arrived
 from fmbd_fenicsx.schemes.marching import MarchingStepper
 from fmbd_fenicsx.schemes.onestep import explicit_stepper
 from fmbd_fenicsx.schemes.onestep.half_explicit import coefficients
-from fmbd_fenicsx.system.compiled.states.explicit import ExplicitStates
 
 
 def test_order_conditions() -> None:
@@ -85,7 +84,6 @@ def test_a_step_is_one_compiled_call(rtol: float | None, monkeypatch: pytest.Mon
     assert all(calls) and sum(calls) == run.counters["steps"]
 
     monkeypatch.setattr(MarchingStepper, "_made", lambda *given: 0)
-    monkeypatch.setattr(ExplicitStates, "half_stages", lambda *given: None)
     slow = fmbd.solve(scene, **steps)
     assert slow.counters["steps"] == run.counters["steps"]
     assert run.state.q == pytest.approx(slow.state.q, rel=1e-11, abs=1e-11)

@@ -120,7 +120,7 @@ def test_the_run_enters_few_functions_a_step(scheme: Any) -> None:
 @pytest.mark.parametrize("make", [joint_springs, suspended, driven_rod], ids=lambda make: make.__name__)
 @pytest.mark.parametrize("scheme", SCHEMES[:3], ids=named)
 def test_a_step_in_one_call_is_that_in_parts(scheme: Any, make: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """RATTLE's whole step, and the ends of explicit ones: the same states to the last bit, and the same counts."""
+    """RATTLE's whole step, and those of explicit schemes: the same states to roundoff, and as many steps and increments."""
     asked: list[str] = []
 
     def run(refused: bool) -> fmbd.Run:
@@ -136,8 +136,12 @@ def test_a_step_in_one_call_is_that_in_parts(scheme: Any, make: Any, monkeypatch
     whole, parts = run(False), run(True)
     assert len(asked) >= 20 or not whole.system.n_lam  # nothing to close
     for x in ("q", "v", "a", "lam"):
-        assert np.array_equal(getattr(whole.state, x), getattr(parts.state, x)), x
-    assert whole.counters == parts.counters
+        found, expected = getattr(whole.state, x), getattr(parts.state, x)
+        assert found == pytest.approx(expected, rel=1e-9, abs=1e-9 * np.abs(expected).max(initial=0.0)), x
+    own = "core_factorisations", "solves"  # each way its own
+    assert {k: x for k, x in whole.counters.items() if k not in own} == {
+        k: x for k, x in parts.counters.items() if k not in own
+    }
 
 
 @pytest.mark.parametrize("damping", [0.0, 0.3, 5.0])

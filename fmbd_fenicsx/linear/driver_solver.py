@@ -15,7 +15,7 @@ from ..rotations import Array
 from ..system.compiled.choice import solves
 from ..system.compiled.states.driver_evaluation import DriverEvaluation
 from ..system.compiled.states.evaluation import DriverStates
-from ..system.compiled.states.explicit import ExplicitStates, Found, Stage
+from ..system.compiled.states.explicit import ExplicitStates
 from ..system.compiled.states.field_states import FactoredFieldStates, FieldStates
 from ..system.compiled.states.means import MeanStates
 from ..system.evaluation import Evaluation
@@ -160,13 +160,6 @@ class DriverSolver:
         explicit = self.one_call(t, q, v)
         found = None if explicit is None or self.states.system.fields else explicit.arrived(t, q, v, places=places)
         self.ready, self._weights = found is not None, MASSES
-        return found
-
-    def stage(self, stage: Stage, *given: Any) -> Found | None:
-        """Accelerations and multipliers of a stage in one call, see ExplicitStates; None as above."""
-        explicit = self.one_call(stage.times[0], stage.q, stage.v)
-        found = None if explicit is None else explicit.stage(stage, *given)
-        self.ready, self._weights = found is not None and not stage.damping, MASSES
         return found
 
     def whole_steps(self, state: State) -> DriverStates | None:

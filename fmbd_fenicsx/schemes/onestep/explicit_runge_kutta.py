@@ -84,14 +84,9 @@ class RungeKuttaStepper(ExplicitStepper):
 
     def _step(self, h: float) -> tuple[State, tuple[Array, Array]]:
         """(1), (2): the new state before projection, and the slopes of all stages."""
-        s, driver = self.state, self.solver.driver
+        s = self.state
         self._count(1)
-        compiled = None if driver is None else driver.one_call(s.t, s.q, s.v)
-        found = None if compiled is None else compiled.stages((s.t, h), (s.q, s.v, s.a), coefficients())
-        if found is None:
-            found = self._stages(h)
-
-        rates, pushes, xi, v = found
+        rates, pushes, xi, v = self._stages(h)
         self._slopes = np.array((rates, pushes))
         return State(s.t + h, self.system.compose(s.q, xi), v, s.a, s.lam), (rates, pushes)
 

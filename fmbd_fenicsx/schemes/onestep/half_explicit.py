@@ -25,7 +25,7 @@ from ...linear.blocks.field_blocks import Weights
 from ...linear.condensation import StepSolver
 from ...rotations import Array
 from ...system.compiled.march import ITERATIONS, March
-from ...system.compiled.states.explicit import MOVES_NOTHING, SPEEDS, Found, Stages, Tableau
+from ...system.compiled.states.explicit import MOVES_NOTHING, SPEEDS, Tableau
 from ...system.evaluation import Evaluation
 from ...system.layout import State, States
 from ...system.speed_rows import speed_rows
@@ -37,6 +37,8 @@ from .explicit_stepper import ExplicitScheme, ExplicitStepper
 
 MASS = Weights(1.0, 0.0, 0.0)
 STAGES = 5
+Slopes = tuple[Array, Array, Array, Array]  # rates and accelerations (stages, n_v); xi and v at the end
+Found = tuple[Array, Array, int]  # a and lambda of a stage, and how many solutions that took
 
 
 @lru_cache
@@ -111,11 +113,7 @@ class HalfExplicitStepper(ExplicitStepper):
         nothing = MOVES_NOTHING * system.length / (h * h)  # a body that is held has roundoff only
         self._count(1)
 
-        driver = self.solver.driver
-        compiled = None if driver is None else driver.one_call(s.t, s.q, s.v)
-        given = (s.t, h), (s.q, s.v), (s.a, s.lam), ((c, A), nothing)
-        found = None if compiled is None else compiled.half_stages(*given)
-        (rates, pushes, xi, v), (a, lam, solves) = self._stages(h, nothing) if found is None else found
+        (rates, pushes, xi, v), (a, lam, solves) = self._stages(h, nothing)
         self.stats.solves += solves
 
         errors: tuple[Array, Array] = h * (difference @ rates), h * (difference @ pushes)
@@ -134,8 +132,8 @@ class HalfExplicitStepper(ExplicitStepper):
         e_q, e_v = (e - self.solver.solve(nothing, x)[0] for e, x in zip(errors, (across_q, across_v), strict=True))
         return e_q, e_v
 
-    def _stages(self, h: float, nothing: float) -> tuple[Stages, Found]:
-        """All stages one by one, as the driver finds them; ``nothing``: the acceleration that counts as none."""
+    def _stages(self, h: float, nothing: float) -> tuple[Slopes, Found]:
+        """All stages; ``nothing``: the acceleration that counts as none."""
         system, s = self.system, self.state
         c, A, _ = coefficients()
         xi, v, a, lam = np.zeros_like(s.v), s.v, s.a, s.lam

@@ -25,9 +25,8 @@ from ...linear.blocks.field_blocks import Weights
 from ...linear.condensation import StepSolver
 from ...linear.redundancy import least
 from ...rotations import Array
-from ...system.compiled.march import LEFT, MAXIT, NEW_TANGENT, PARAMETERS, SLOW, THETA, TOL, March
+from ...system.compiled.march import March
 from ...system.compiled.states.evaluation import DriverStates
-from ...system.compiled.states.explicit import MOVES_NOTHING, Stage
 from ...system.evaluation import Evaluation
 from ...system.layout import State
 from ...system.lengths import farthest
@@ -86,7 +85,6 @@ class RattleStepper(MarchingStepper):
         self.half = state.lam
         self.ahead: tuple[Array, Array] = np.zeros_like(state.a), np.zeros_like(state.lam)
         self.damped = False
-        self.parameters = np.zeros(PARAMETERS)  # of Newton's iteration of a stage in compiled code
         self.limit: StepLimit = StepLimit("RATTLE", system, solver, amplification)
 
     def begin_anew(self, start: Callable[[], State]) -> bool:
@@ -160,50 +158,18 @@ class RattleStepper(MarchingStepper):
         self.ahead = (a - self.state.a) / h, (lam - self.state.lam) / h
         self.damped |= increments > PATIENCE
 
-    def _of_newton(self, tolerance: float) -> Array:
-        """Parameters of Newton's iteration in compiled code, to a tolerance of accelerations."""
-        p, newton = self.parameters, self.newton
-        p[TOL], p[THETA], p[SLOW], p[MAXIT] = tolerance, newton.theta, newton.slow, newton.max_iterations
-        p[NEW_TANGENT], p[LEFT] = newton.patience, 0.0
-        return p
-
-    def _count(self, solves: int) -> None:
-        """Take note of an iteration of compiled code of so many increments."""
-        self.newton.theta = float(self.parameters[THETA])
-        self.newton.iterations += solves
-        self.newton.note(float(self.parameters[LEFT]))
-
-    def _compiled_stage(
-        self, stage: Stage, guess: tuple[Array, Array], tolerance: float | None = None
-    ) -> tuple[Array, Array, int] | None:
-        """a, lambda and the number of increments of a half step in one call, to a tolerance (m) of places or to roundoff."""
-        driver = self.solver.driver
-        if driver is None:
-            return None
-        if tolerance is None:
-            return driver.stage(stage, guess)
-        found = driver.stage(stage, guess, self._of_newton(tolerance / stage.c))
-        if found is not None:
-            self._count(found[2])
-        return found
-
     def _first_half(self, h: float, guess: tuple[Array, Array], tolerance: float) -> tuple[Array, Array, int]:
         """a, lambda of (1) and the number of increments; where these diverge, the matrix learns of damping."""
-        s = self.state
         try:
-            half = Stage(
-                (s.t, s.t + h), s.q, s.v, s.q, h * s.v, 0.5 * h, 0.5 * h * h, 0.5 * h * self.damped, on_places=True
-            )
-            found = self._compiled_stage(half, guess, tolerance)
-            return self._iterated_half(h, guess, tolerance) if found is None else found
+            return self._iterated_half(h, guess, tolerance)
         except ConvergenceError:
             if self.damped:
                 raise
         self.damped = True
-        return self._first_half(h, guess, tolerance)
+        return self._iterated_half(h, guess, tolerance)
 
     def _iterated_half(self, h: float, guess: tuple[Array, Array], tolerance: float) -> tuple[Array, Array, int]:
-        """The same for (1) in parts."""
+        """The same with the matrix at hand."""
         system, s, (a, lam) = self.system, self.state, guess
         weights = Weights(1.0, 0.5 * h, 0.0) if self.damped else MASS
         begun: Evaluation | None = None
@@ -235,12 +201,6 @@ class RattleStepper(MarchingStepper):
     def _solve_second(self, t: float, end: tuple[Array, Array], h: float) -> tuple[Array, Array]:
         """a = 2 (v_n+1 - v_1/2) / h and mu of (2); ``end``: q_n+1 and v_1/2."""
         q, v = end
-        nothing = MOVES_NOTHING * self.system.length / (h * h)
-        found = self._compiled_stage(
-            Stage((t, t), q, v, q, v, 0.0, 0.5 * h, nothing=nothing), (self.state.a, self.half)
-        )
-        if found is not None:
-            return found[:2]
         ev = self.system.at(t, q, v)
         slip = ev.opening() if self.system.n_lam else np.zeros(0)
         self.solver.prepare_once(ev, MASS)

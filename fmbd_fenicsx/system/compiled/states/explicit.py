@@ -1,4 +1,4 @@
-"""Accelerations, projections and the stages of explicit and half-explicit methods by the driver: one call each.
+"""Accelerations and projections by the driver: one call each.
 
 None as an answer: NumPy has to do, or has something to say.
 """
@@ -6,7 +6,6 @@ None as an answer: NumPy has to do, or has something to say.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,32 +19,8 @@ if TYPE_CHECKING:
     from .evaluation import DriverStates
 
 Tableau = tuple[Array, Array]  # nodes c (stages,), rows A (stages + 1, stages) with the weights last
-Stages = tuple[Array, Array, Array, Array]  # rates and accelerations (stages, n_v); xi and v at the end
 # of the model's length in a step; of velocities
 MOVES_NOTHING, SPEEDS = constants("onestep/explicit.c", "MOVES_NOTHING", "SPEEDS")
-Found = tuple[Array, Array, int]  # a and lambda of a stage, and how many solutions that took
-
-
-@dataclass(frozen=True)
-class Stage:
-    """Accelerations and multipliers whose balance holds in one configuration, and whose rows in another (explicit.c):
-
-        M a + f(q, v + b a) + G^T lambda = 0        at the first of two times
-        G (known + c a) + g_t = 0 at ``after``,     or, ``on_places``, g(after o exp(known + c a)) = 0,     at the second
-
-    ``b`` in s, ``c`` in s, or s^2; ``damping``: its weight in the matrix (s); ``nothing``: the acceleration that counts as none.
-    """
-
-    times: tuple[float, float]
-    q: Array
-    v: Array
-    after: Array
-    known: Array
-    b: float
-    c: float
-    damping: float = 0.0
-    nothing: float = 0.0
-    on_places: bool = False
 
 
 class ExplicitStates:
@@ -129,71 +104,11 @@ class ExplicitStates:
         self.states.factor.hold(t, end.q, end.v)
         return end
 
-    def stages(self, span: tuple[float, float], start: tuple[Array, Array, Array], tableau: Tableau) -> Stages | None:
-        """All stages of a step.
-
-        ``span``: where it begins, and its size (s). ``start``: q, v and the accelerations there.
-        """
-        (t, h), (c, A), twin = span, tableau, self.states.twin
-        q, v = twin.configurations(start[0]), twin.velocities(start[1])
-        rates, pushes = np.empty((2, len(c), len(v)))
-        rates[0], pushes[0] = v, twin.velocities(start[2])
-        xi, after = np.empty((2, len(v)))
-
-        arrays = c, A, q, v, rates, pushes, xi, after
-        made = self._ask(self.states.library.driver_stages, [(len(c), t, h, self.system.length)], arrays)
-        return (twin.forces(rates), twin.forces(pushes), twin.forces(xi), twin.forces(after)) if made else None
-
-    def stage(self, stage: Stage, guess: tuple[Array, Array], newton: Array | None = None) -> Found | None:
-        """a and lambda of a stage from a guess of them: to roundoff, or as far as ``newton`` says, the parameters of a march.
-
-        The matrix of the masses at q is kept.
-        """
-        states, twin, o = self.states, self.states.twin, stage
-        a, lam = twin.velocities(guess[0].copy()), guess[1].copy()
-        solves = np.zeros(1, dtype=np.int64)
-        sizes, times = np.array((o.b, o.c, o.damping, o.nothing)), np.array(o.times)
-        q, after = twin.configurations(o.q), twin.configurations(o.after)
-        v, known = twin.velocities(o.v), twin.velocities(o.known)
-        factored = not o.damping and states.factor.holds_masses(o.times[0], o.q)
-
-        arrays: tuple[Any, ...] = (sizes, times, q, v, after, known, a, lam, solves, newton)
-        if not self._ask(states.library.driver_stage, [(o.on_places, factored)], arrays):
-            return None
-        if not o.damping:
-            states.factor.hold(o.times[0], o.q, o.v, new=not factored)
-        return twin.forces(a), lam, int(solves[0])
-
-    def half_stages(
-        self,
-        span: tuple[float, float],
-        start: tuple[Array, Array],
-        guess: tuple[Array, Array],
-        rule: tuple[Tableau, float],
-    ) -> tuple[Stages, Found] | None:
-        """All stages of a step of a half-explicit method, and a, lambda of the last one.
-
-        ``span``: where the step begins, and its size (s). ``start``: q and v there. ``rule``: nodes c (stages + 1,) and rows A
-        (stages + 1, stages), and the acceleration that counts as none.
-        """
-        ((c, A), nothing), twin = rule, self.states.twin
-        a, lam = twin.velocities(guess[0].copy()), guess[1].copy()
-        rates, pushes = np.empty((2, len(c) - 1, len(a)))
-        xi, v = np.empty((2, len(a)))
-        solves = np.zeros(1, dtype=np.int64)
-
-        q0, v0 = twin.configurations(start[0]), twin.velocities(start[1])
-        arrays: tuple[Any, ...] = (c, A, q0, v0, a, lam, rates, pushes, xi, v, solves)
-        if not self._ask(self.states.library.driver_half_stages, [(len(c) - 1, *span, nothing)], arrays):
-            return None
-        last = twin.forces(a), lam, int(solves[0])
-        return (twin.forces(rates), twin.forces(pushes), twin.forces(xi), twin.forces(v)), last
-
     def _ask(
         self,
         function: Any,
         numbers: Sequence[tuple[float, ...]],
-        arrays: tuple[Array | None, ...],
+        arrays: tuple[Array, ...],
         *,
         factors: bool = True,
     ) -> bool:
@@ -208,12 +123,10 @@ class ExplicitStates:
         if factors:
             states.factor.hold(None)
 
-        given = [None if x is None else np.ascontiguousarray(x) for x in arrays]  # alive until C is done
-        at = iter(addresses_of([x for x in given if x is not None]))
-        starts = [(None, 0) if x is None else (next(at), x.strides[0]) for x in given]
-
+        given = [np.ascontiguousarray(x) for x in arrays]  # alive until C is done
+        starts = addresses_of(given)
         answered = True
         for i, each in enumerate(numbers):
-            places = [None if start is None else start + i * stride for start, stride in starts]
+            places = [start + i * x.strides[0] for start, x in zip(starts, given, strict=True)]
             answered &= states.ask(function, *each, *places, self.place)
         return answered

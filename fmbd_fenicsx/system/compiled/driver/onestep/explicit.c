@@ -1,5 +1,5 @@
-/* What explicit schemes need of a system, whose matrix is that of the masses: accelerations, states on the constraints, all stages
-   of a Runge-Kutta method in one call, and those of a half-explicit one. */
+/* What explicit schemes need of a system, whose matrix is that of the masses: accelerations, states on the constraints, the
+   stages of a Runge-Kutta method, and those of a half-explicit one. */
 
 enum { REFINED = 12, CLOSED = 12, HALF = 50 }; /* iterations */
 static const double SAME_FORCES = 1e-8; /* share that the smallest multipliers may lack of the forces of others */
@@ -259,8 +259,8 @@ EXPORT int driver_arrive(System *s, int places, double t, double length, double 
 
 /* The stages of an explicit Runge-Kutta method in local coordinates xi about q0, whose rates and accelerations (stages x nv) are
    known for the first; xi and v: the end of the step, by the last row of A, (stages + 1) x stages. ``room``: nq + 2 nv + 4 rows + nu. */
-EXPORT int driver_stages(System *s, int stages, double t, double h, double length, const double *c, const double *A,
-                         const double *q0, const double *v0, double *rates, double *pushes, double *xi, double *v, double *room)
+static int all_stages(System *s, int stages, double t, double h, double length, const double *c, const double *A,
+                      const double *q0, const double *v0, double *rates, double *pushes, double *xi, double *v, double *room)
 {
     double *q = room, *lam = q + s->nq, *rest = lam + s->rows, last = NAN;
     int verdict;
@@ -387,21 +387,12 @@ static int solve_stage(System *s, const Stage *o, double *p, double *a, double *
     return NEWTON;
 }
 
-/* One stage. ``sizes``: b, c, damp and nothing of it; ``newton``: parameters of a march, or NULL. */
-EXPORT int driver_stage(System *s, int on_places, int factored, const double *sizes, const double *times, const double *q,
-                        const double *v, const double *after, const double *known, double *a, double *lam, long *solves,
-                        double *newton, double *room)
-{
-    Stage one = {times, q, v, after, known, sizes[0], sizes[1], sizes[2], sizes[3], newton ? newton[TOL] : 0.0, on_places, factored};
-    return solve_stage(s, &one, newton, a, lam, solves, room);
-}
-
 /* All stages of a half-explicit method in local coordinates xi about q0, (1) and (2) of schemes/onestep/half_explicit.py, with the nodes
    c (stages + 1) and A, (stages + 1) x stages. a and lambda begin as a guess and end as those of the last stage; rates and pushes:
    stages x nv; xi and v: the end of the step. ``room``: 2 nq + nv and that of a stage. */
-EXPORT int driver_half_stages(System *s, int stages, double t, double h, double nothing, const double *c, const double *A,
-                              const double *q0, const double *v0, double *a, double *lam, double *rates, double *pushes, double *xi,
-                              double *v, long *solves, double *room)
+static int all_half_stages(System *s, int stages, double t, double h, double nothing, const double *c, const double *A,
+                           const double *q0, const double *v0, double *a, double *lam, double *rates, double *pushes, double *xi,
+                           double *v, long *solves, double *room)
 {
     double *q = room, *after = q + s->nq, *known = after + s->nq, *rest = known + s->nv;
     int verdict;

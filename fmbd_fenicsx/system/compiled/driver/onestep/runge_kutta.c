@@ -41,7 +41,7 @@ static int runge_kutta_stages(System *s, double *p, const Explicit *o, const Blo
 {
     memcpy(e->rates, now->v, s->nv * sizeof(double));
     memcpy(e->pushes, now->a, s->nv * sizeof(double));
-    return driver_stages(s, o->stages, *now->t, p[H], p[LENGTH], o->c, o->A, now->q, now->v, e->rates, e->pushes, e->xi, out.v, e->rest);
+    return all_stages(s, o->stages, *now->t, p[H], p[LENGTH], o->c, o->A, now->q, now->v, e->rates, e->pushes, e->xi, out.v, e->rest);
 }
 
 /* By the formulas of orders five and three. */
@@ -65,8 +65,8 @@ static int half_explicit_stages(System *s, double *p, const Explicit *o, const B
     long solves = 0;
     memcpy(out.a, now->a, s->nv * sizeof(double));
     memcpy(out.lam, now->lam, s->rows * sizeof(double));
-    int verdict = driver_half_stages(s, o->stages, *now->t, h, nothing, o->c, o->A, now->q, now->v, out.a, out.lam, e->rates, e->pushes,
-                                     e->xi, out.v, &solves, e->rest);
+    int verdict = all_half_stages(s, o->stages, *now->t, h, nothing, o->c, o->A, now->q, now->v, out.a, out.lam, e->rates, e->pushes,
+                                  e->xi, out.v, &solves, e->rest);
     p[ITERATIONS] += solves;
     return verdict;
 }
