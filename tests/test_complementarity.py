@@ -10,9 +10,12 @@ from hypothesis import strategies as st
 
 from fmbd_fenicsx.errors import ConvergenceError
 from fmbd_fenicsx.linear.complementarity import coulomb
-from fmbd_fenicsx.linear.complementarity.active_set import ContactCounts
-from fmbd_fenicsx.linear.complementarity.coulomb import _lemke, solve_friction
-from fmbd_fenicsx.linear.complementarity.normal import solve_normal
+from fmbd_fenicsx.linear.complementarity.coulomb import ContactCounts, _lemke, solve_friction
+
+
+def solve_normal(W: np.ndarray, q: np.ndarray, counts: ContactCounts) -> np.ndarray:
+    none = np.zeros(len(q))
+    return solve_friction(W, q[:, None], none, none[:, None], counts)[:, 0]
 
 
 def matrix(seed: int, m: int) -> np.ndarray:
@@ -25,25 +28,22 @@ def test_normal_problem_is_solved_in_any_units(seed: int, m: int, exponent: floa
     W, q = matrix(seed, m), np.random.default_rng(seed + 1).standard_normal(m)
     unit = 10.0**exponent
     counts = ContactCounts()
-    L = solve_normal(unit * W, q, np.zeros(m, dtype=bool), counts)
+    L = solve_normal(unit * W, q, counts)
     g = q + unit * W @ L
     assert L.min() >= 0 and g.min() > -1e-9 * np.abs(q).max()
     assert np.abs(L * g).max() <= 1e-8 * max(np.abs(L).max(), 1e-300) * np.abs(q).max()
 
 
-def test_cycle_is_broken_and_counted() -> None:
-    """A P-matrix on which the plain active-set iteration cycles (found by search)."""
+def test_no_set_of_closed_points_comes_again_and_again() -> None:
+    """P-matrices, on some of which the plain iteration of active sets cycles (found by search)."""
     rng = np.random.default_rng(0)
-    for _ in range(4000):
+    for _ in range(300):
         A = rng.standard_normal((6, 6))
         W, q = A @ A.T + 1e-3 * np.eye(6), rng.standard_normal(6)
         counts = ContactCounts()
-        L = solve_normal(W, q, np.zeros(6, dtype=bool), counts)
-        if counts.cycles:
-            assert (q + W @ L).min() > -1e-8 * np.abs(q).max() and L.min() >= 0
-            assert counts.residual < 1e-8
-            return
-    pytest.fail("no matrix of the sample cycles")
+        L = solve_normal(W, q, counts)
+        assert (q + W @ L).min() > -1e-8 * np.abs(q).max() and L.min() >= 0
+        assert counts.residual < 1e-8 and counts.most < 40
 
 
 def test_forces_of_roundoff_beside_open_gaps_are_no_residual() -> None:
@@ -51,7 +51,7 @@ def test_forces_of_roundoff_beside_open_gaps_are_no_residual() -> None:
     W = np.array([[14.0, 3.0, 0.0], [3.0, 14.0, 0.0], [0.0, 0.0, 14.0]])
     counts = ContactCounts()
     q = np.array([*(W[:2, :2] @ [-3e-15, 2e-16]), 1.0])
-    solve_normal(W, q, q < 0.5, counts)
+    solve_normal(W, q, counts)
     assert counts.residual < 1e-14
 
 
@@ -64,7 +64,7 @@ def test_normal_problem_of_contacts_that_depend_on_each_other(seed: int) -> None
     N = np.polynomial.legendre.legvander(x, modes - 1) * np.r_[np.ones(modes - 1), 1e-3]
     q = N @ np.r_[-1.0, 0.1 * rng.standard_normal(modes - 1)] * 1e-3 + 1e-9 * rng.standard_normal(m)
     W, counts = N @ N.T, ContactCounts()
-    L = solve_normal(W, q, q < 0, counts)
+    L = solve_normal(W, q, counts)
     g, size = q + W @ L, np.abs(q / np.diag(W)).max()
     assert np.abs(np.minimum(L, g / np.diag(W))).max() <= 1e-10 * size
     assert L.max() <= 10 * size

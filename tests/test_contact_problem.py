@@ -7,9 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fmbd_fenicsx.linear.complementarity.active_set import ContactCounts
-from fmbd_fenicsx.linear.complementarity.coulomb import solve_friction
-from fmbd_fenicsx.linear.complementarity.normal import solve_normal
+from fmbd_fenicsx.linear.complementarity.coulomb import ContactCounts, solve_friction
 from fmbd_fenicsx.mechanics.contact.nodal_rows import NodalRows
 from fmbd_fenicsx.schemes.impacts.compiled.problem import CompiledProblem
 from fmbd_fenicsx.system.compiled.library import CONTACT, driver_library
@@ -37,10 +35,7 @@ def test_compiled_forces_are_those_of_numpy(d: int) -> None:
         if force is None:  # that is for NumPy
             continue
         found += 1
-        if d == 1:
-            expected = solve_normal(W, q[:, 0], start[:, 0] > 0, ContactCounts())[:, None]
-        else:
-            expected = solve_friction(W, q, mu, start, ContactCounts())
+        expected = solve_friction(W, q, mu if d > 1 else 0.0 * mu, start, ContactCounts())
         assert force == pytest.approx(expected, abs=1e-10 * np.abs(expected).max())
     assert found >= 25
     assert counts.solves == found

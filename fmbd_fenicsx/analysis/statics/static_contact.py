@@ -25,9 +25,9 @@ import numpy as np
 
 from ...errors import ConvergenceError, LinearSolveError, require
 from ...linear.blocks.field_blocks import Weights
-from ...linear.complementarity.active_set import ContactCounts
+from ...linear.complementarity.coulomb import ContactCounts
+from ...linear.complementarity.coulomb_matrix_free import contact_forces
 from ...linear.complementarity.delassus import Compliance
-from ...linear.complementarity.normal import solve_normal
 from ...mechanics.contact.contact_set import ContactSet
 from ...mechanics.contact.rows import Rows
 from ...rotations import Array
@@ -134,10 +134,8 @@ class ContactNewton(StaticNewton):
             return np.zeros((0, 0)), np.zeros(0), free
         W = self.compliance.of(rows.N, rows.trace, 1.0)
         reached = rows.gap + contacts.times(system, rows.N, free[0])
-        if isinstance(W, np.ndarray):
-            force = solve_normal(W, reached, reached < 0.0, self.counts)
-        else:
-            force = W.complementary(reached, np.zeros_like(reached), self.counts)
+        none = np.zeros_like(reached)
+        force = contact_forces(W, reached, none, none[:, None], self.counts)[:, 0]
         if not force.any():
             return W, force, free
         return W, force, self.solver.solve(contacts.transposed(system, rows.N, force) - r[0], -r[1])

@@ -1,14 +1,15 @@
-"""Coulomb friction on contact points: semismooth Newton with a line search, proximal points, pivoting.
+"""Forces of contact points, with Coulomb friction or without: semismooth Newton with a line search, proximal points, pivoting.
 
     0 <= L  _|_  q + W L >= 0   in normal directions                                                        (1)
     tau in disk of radius mu L,  tau = projection(tau - c s),  s = q_t + W_t (L, tau)                       (2)
     x_k+1 solves (1), (2) with W + rho_k / c and q - rho_k x_k / c                                          (3)
 
-(2) is Alart and Curnier's function (doi:10.1016/0045-7825(91)90022-X), solved to 1e-12 of the largest force. Contacts that
-depend on each other (a plate on four corners) make W singular; the proximal points (3) choose one of the force
-distributions, near the start (Rockafellar, doi:10.1137/0314056). rho falls with every point found, so that slips and gaps much
-slower than the impact, which move the forces by s / rho, are found too. Newton's steps along such a distribution leave the
-cones by the square of their length: the line search looks behind some whole steps before it makes one shorter.
+(2) is Alart and Curnier's function (doi:10.1016/0045-7825(91)90022-X), solved to 1e-12 of the largest force; without friction it
+is the iteration of active sets (Hintermueller, Ito and Kunisch, doi:10.1137/S1052623401383558). Contacts that depend on each
+other (a plate on four corners) make W singular; the proximal points (3) choose one of the force distributions, near the start
+(Rockafellar, doi:10.1137/0314056). rho falls with every point found, so that slips and gaps much slower than the impact, which
+move the forces by s / rho, are found too. Newton's steps along such a distribution leave the cones by the square of their
+length: the line search looks behind some whole steps before it makes one shorter.
 """
 
 from __future__ import annotations
@@ -21,7 +22,6 @@ import numpy as np
 from ...errors import ConvergenceError
 from ...rotations import Array
 from ...system.compiled.declarations import constants
-from .active_set import ContactCounts, solve_least
 
 ATTEMPTS = ((0, 0.0), (0, 1e-4), (8, 1e-4), (16, 1e-4))
 """Tried in turn: facets of the pyramid whose pivoting gives the start (0: the forces given); rho_0."""
@@ -35,8 +35,37 @@ PAINLEVE = (
 )
 
 
+@dataclass
+class ContactCounts:
+    """Statistics of a run: Newton's iterations, changes of points' states between them, further attempts, worst residual;
+    products of the compliance that compiled code has made.
+    """
+
+    iterations: int = 0
+    changes: int = 0
+    cycles: int = 0
+    most: int = 0
+    solves: int = 0
+    residual: float = 0.0
+    products: int = 0
+
+
+def solve_least(A: Array, b: Array) -> Array:
+    """A^-1 b; the least solution where contacts depend on each other."""
+    try:
+        x = np.linalg.solve(A, b)
+        if np.isfinite(x).all() and np.abs(A @ x - b).max(initial=0.0) <= 1e-8 * max(
+            np.abs(b).max(initial=0.0), 1e-300
+        ):
+            return x
+    except np.linalg.LinAlgError:
+        pass
+    return np.asarray(np.linalg.lstsq(A, b, rcond=1e-12)[0])
+
+
 def solve_friction(W: Array, q: Array, mu: Array, start: Array, counts: ContactCounts) -> Array:
-    """Forces (m, d): normal, then tangential, of (1) and (2). W (m d, m d) and q (m, d) in blocks of components by point.
+    """Forces (m, d): normal, then tangential, of (1) and (2). W (m d, m d) and q (m, d) in blocks of components by point; d = 1
+    without friction.
 
     Contacts that share no body, nor bodies joined to each other, are problems of their own: what is hard in one heap is not
     asked of all. Newton's method from ``start``; where it fails, because contacts depend on each other, proximal points (3);
@@ -54,9 +83,15 @@ def solve_friction(W: Array, q: Array, mu: Array, start: Array, counts: ContactC
             rows = (part[:, None] * d + np.arange(d)).ravel()
             out[part] = solve_friction(W[np.ix_(rows, rows)], q[part], mu[part], start[part], counts)
         return out
-    c = np.stack([1.0 / np.maximum(np.diag(W)[k::d], 1e-300) for k in range(d)], axis=1)
-    c[:, 1:] = c[:, 1:].min(axis=1)[:, None]
-    return solved(Coulomb(W, q, mu, c), start, counts)
+    problem = Coulomb(W, q, mu, comparable(1.0 / np.maximum(np.diag(W), 1e-300), q.shape))
+    return solved(problem, start, problem.gap(start), counts)
+
+
+def comparable(c: Array, shape: tuple[int, ...]) -> Array:
+    """What makes gaps and forces comparable, (m, d), from that of each component: one for both tangents, as the cone is round."""
+    found = c.reshape(shape).copy()
+    found[:, 1:] = found[:, 1:].min(axis=1, initial=np.inf)[:, None]
+    return found
 
 
 def independent(W: Array, d: int) -> list[np.ndarray]:
@@ -68,8 +103,8 @@ def independent(W: Array, d: int) -> list[np.ndarray]:
     return [np.flatnonzero(label == k) for k in range(count)]
 
 
-def solved(problem: Coulomb, start: Array, counts: ContactCounts) -> Array:
-    """As :func:`solve_friction`, for a problem that may know W by its products only."""
+def solved(problem: Coulomb, start: Array, gap: Array, counts: ContactCounts) -> Array:
+    """As :func:`solve_friction`, for a problem that may know W by its products only; ``gap``: gaps and slips under ``start``."""
     best: tuple[float, Array] = (np.inf, start)
     counts.solves += 1
 
@@ -78,7 +113,7 @@ def solved(problem: Coulomb, start: Array, counts: ContactCounts) -> Array:
         if facets and (not problem.mu.any() or len(problem.q) > PIVOTED):
             continue
         x0 = _pivoted(problem, facets) if facets else start
-        size, x = _proximal_points(problem, x0, rho, counts)
+        size, x = _proximal_points(problem, x0, problem.gap(x0) if facets else gap, rho, counts)
         best = min(best, (size, x), key=lambda found: found[0])
         if size <= FOUND:
             break
@@ -224,31 +259,31 @@ class Coulomb:
         return solve_least(_blocks(it.dx) + _blocks(it.du) @ W, -it.F.ravel()).reshape(it.x.shape)
 
 
-def _proximal_points(problem: Coulomb, x: Array, rho: float, counts: ContactCounts) -> tuple[float, Array]:
-    """Residual in the original problem, and forces, by (3) from x and the first ``rho``."""
+def _proximal_points(problem: Coulomb, x: Array, u: Array, rho: float, counts: ContactCounts) -> tuple[float, Array]:
+    """Residual in the original problem, and forces, by (3) from x with gaps and slips u, and the first ``rho``."""
     best, restart, before = (np.inf, x), rho, counts.iterations
 
     # Newton on a problem made easier by rho; rho falls as long as it succeeds
     for _ in range(40 if rho else 1):
         D = rho / problem.c
         near = replace(problem, q=problem.q - D * x, shift=D) if rho else problem
-        x, found = _newton(near, x, counts)
-        size = problem.size(problem.at(x, problem.gap(x)).F, x)
+        found = _newton(near, near.at(x, u), counts)
+        x, u = found.x, found.u + D * (x - found.x)
+        size = problem.size(problem.at(x, u).F, x)
         best = min(best, (size, x), key=lambda pair: pair[0])
         if size <= FOUND or not np.isfinite(size):
             break
         # made harder after success, easier after failure
-        rho = 0.1 * rho if found else 10.0 * rho
+        rho = 0.1 * rho if near.size(found.F, x) <= FOUND else 10.0 * rho
         rho = restart if rho > 1.0 else rho
 
     counts.most = max(counts.most, counts.iterations - before)
     return best
 
 
-def _newton(problem: Coulomb, x: Array, counts: ContactCounts) -> tuple[Array, bool]:
-    """Semismooth Newton from x, until the residual is small or does not fall; forces, and whether it is small."""
+def _newton(problem: Coulomb, it: Iterate, counts: ContactCounts) -> Iterate:
+    """Semismooth Newton from an iterate, until the residual is small or does not fall."""
     best = np.inf
-    it = problem.at(x, problem.gap(x))
     for k in range(40):
         size = problem.size(it.F, it.x)
         # after eight steps each has to halve the residual
@@ -261,7 +296,7 @@ def _newton(problem: Coulomb, x: Array, counts: ContactCounts) -> tuple[Array, b
         counts.iterations += 1
         counts.changes += int((new.state != it.state).sum())
         it = new
-    return it.x, problem.size(it.F, it.x) <= FOUND
+    return it
 
 
 def _searched(problem: Coulomb, it: Iterate) -> Iterate:

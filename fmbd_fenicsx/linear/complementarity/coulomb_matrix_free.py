@@ -1,4 +1,4 @@
-"""Coulomb friction of many contact points: Newton's linear systems by GMRES with products of W.
+"""Forces of many contact points: Newton's linear systems by GMRES with products of W.
 
 At an iterate of :mod:`.coulomb` open points have known steps of their forces; on points that slip with direction e, share r of
 the trial force on the cone, and t orthogonal to e,
@@ -29,25 +29,31 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...rotations import Array
-from .active_set import ContactCounts
-from .coulomb import Coulomb, Iterate, solved
+from .coulomb import ContactCounts, Coulomb, Iterate, comparable, solve_friction, solved
 from .delassus_matrix_free import Applied
 
 INNER = 1e-3  # relative residual of (2)
+ENDS = 0.5  # of what is enough, that such a step leaves
 RESTART, CYCLES = 100, 3  # of GMRES
 SHARE = 1e-8  # r below which the slip's turn is left out of (2)
 
 
-def solve_many(W: Applied, q: Array, mu: Array, start: Array, counts: ContactCounts) -> Array:
-    """Forces (m, d) as of :func:`.coulomb.solve_friction`, from products of W; collective.
+def contact_forces(W: Array | Applied, gap: Array, mu: Array, force: Array, counts: ContactCounts) -> Array:
+    """Forces (m, 1 or d) of the law of contact for gaps and slips (m d,) that are ``gap`` under ``force``; collective."""
+    if isinstance(W, np.ndarray):
+        return solve_friction(W, (gap - W @ force.ravel()).reshape(force.shape), mu, force, counts)
+    return solve_many(W, gap.reshape(force.shape), mu, force, counts)
+
+
+def solve_many(W: Applied, gap: Array, mu: Array, start: Array, counts: ContactCounts) -> Array:
+    """Forces (m, d) as of :func:`.coulomb.solve_friction`, from products of W; ``gap``: under ``start``; collective.
 
     Raises:
         ConvergenceError: no solution found; there is no pivoting by products.
     """
-    c = np.maximum(W.inverse.diagonal(), 1e-300).reshape(q.shape).copy()
-    # one factor for both tangents: the cone is round
-    c[:, 1:] = c[:, 1:].min(axis=1)[:, None]
-    return solved(Products(W, q, mu, c), start, counts)
+    q = gap - (W @ start.ravel()).reshape(gap.shape) if start.any() else gap
+    problem = Products(W, q, mu, comparable(np.maximum(W.inverse.diagonal(), 1e-300), q.shape))
+    return solved(problem, start, gap, counts)
 
 
 @dataclass(frozen=True)
@@ -78,10 +84,14 @@ class Products(Coulomb):
             return (cone.tested(self._response(forces)) + cone.stiffness * y.reshape(s.shape)).ravel()
 
         y, _ = spl.gmres(
-            spl.LinearOperator((n, n), product), r.ravel(), rtol=INNER, restart=RESTART, maxiter=CYCLES,
+            spl.LinearOperator((n, n), product), r.ravel(), rtol=self._inner(it), restart=RESTART, maxiter=CYCLES,
             M=spl.LinearOperator((n, n), inverse),
         )  # fmt: skip
         return np.asarray(s + cone.forces(y.reshape(s.shape)))
+
+    def _inner(self, it: Iterate) -> float:
+        """The relative residual of (2); without friction one step solves the problem of a set of closed points to the end."""
+        return INNER if it.x.shape[1] > 1 else ENDS * self.enough / self.size(it.F, it.x)
 
     def _response(self, s: Array) -> Array:
         return np.asarray((self.W @ s.ravel()).reshape(s.shape) + self.shift * s)
@@ -111,11 +121,11 @@ class _Cone:
         # directions of slip, of the trial force
         trial = x[:, 1:] - problem.c[:, 1:] * it.u[:, 1:]
         size = np.where(slip, np.linalg.norm(trial, axis=1), 1.0)
-        along = np.where(slip[:, None], trial / size[:, None], np.eye(d - 1)[0])
-        turn = along[:, :, None]
+        along = np.where(slip[:, None], trial / size[:, None], np.arange(d - 1) == 0)
+        turn = np.zeros((m, d - 1, d - 1))
+        turn[:, :, :1] = along[:, :, None]
         if d == 3:
-            across = np.stack((-along[:, 1], along[:, 0]), axis=1)
-            turn = np.stack((along, across), axis=2)
+            turn[:, :, 1] = np.stack((-along[:, 1], along[:, 0]), axis=1)
 
         # share of the cone's radius in the trial force
         radius = problem.mu * np.maximum(x[:, 0], 0.0)
@@ -123,7 +133,7 @@ class _Cone:
         inside = r > SHARE
 
         weight = np.where(it.state[:, None] > 0, 1.0, np.zeros((m, d)))
-        weight[slip, 1] = 0.0
+        weight[slip, 1:2] = 0.0
         weight[:, 2:] *= np.where(inside, np.sqrt(r), 0.0)[:, None]
 
         share = np.ones((m, d))
@@ -131,7 +141,7 @@ class _Cone:
 
         stiffness = np.zeros((m, d))
         left = np.where(slip & inside, np.maximum(1.0 - r, SHARE), 0.0)
-        stiffness[:, 2:] = (left / problem.c[:, 1])[:, None]
+        stiffness[:, 2:] = (left / problem.c[:, -1])[:, None]
 
         slope = np.where(slip & (x[:, 0] > 0), problem.mu, 0.0)
         return cls(turn, weight, share, slope, stiffness)
@@ -144,7 +154,7 @@ class _Cone:
     def forces(self, y: Array) -> Array:
         """V y."""
         a = self.weight * y
-        a[:, 1] += self.slope * a[:, 0]
+        a[:, 1:2] += self.slope[:, None] * a[:, :1]
         return self._out(a)
 
     def tested(self, g: Array) -> Array:
@@ -160,8 +170,9 @@ class _Cone:
         turn[:, 0, 0], turn[:, 1:, 1:] = 1.0, self.turn
         Q = sp.bsr_matrix((turn, np.arange(m), np.arange(m + 1)))
         P = (Q.T @ P @ Q).tocsr()
-        along = np.arange(m) * d
-        back = sp.csr_matrix((self.slope, (along + 1, along)), shape=P.shape)
+        sliding = np.flatnonzero(self.slope)
+        along = sliding * d
+        back = sp.csr_matrix((self.slope[sliding], (along + 1, along)), shape=P.shape)
         P = (P - back @ P).tocsr()  # P w - V y has no share in the known forces
 
         weight = self.weight.ravel()

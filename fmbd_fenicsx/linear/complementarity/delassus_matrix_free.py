@@ -3,8 +3,8 @@
     W f = s N A^-1 N^T f                                                                                  (1)
 
 For n candidates the matrix W of :mod:`.delassus` asks for up to d n columns of E^-1 before the first step is done, and for n^2
-numbers. Here the active-set iteration solves its problems W_aa L_a = -q_a by conjugate gradients, warm-started with the forces
-of the last iterate, first roughly and, once the set stays, to the end. With the block E_s of the slave's contact nodes,
+numbers. Here Newton's iteration (:mod:`.coulomb_matrix_free`) asks for products only. With the block E_s of the slave's contact
+nodes,
 
     P = (N N^T)^-1 N E_s N^T (N N^T)^-1 / s                                                               (2)
 
@@ -19,17 +19,13 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.sparse as sp
 
-from ...errors import ConvergenceError
 from ...mechanics.contact.contact_set import ContactSet
 from ...mechanics.contact.rows import LinearRows
 from ...rotations import Array
 from ...system.serialisation import Remembering, plain
 from ..condensation import StepSolver
-from .active_set import ContactCounts, active_set
 
 MANY = 300  # candidates above which W is applied instead of stored
-ROUGH, FINE = 1e-3, 1e-12  # errors of the forces over the largest force
-LIMIT = 500  # conjugate-gradient iterations
 
 
 class SlaveBlocks(Remembering):
@@ -104,77 +100,3 @@ class Applied:
         rows = self.rows.field[trace].matrix(nodes.n)
         turn = solver.corotations[solver.system.field_number(nodes.part)]
         return rows if turn is None else rows @ sp.kron(sp.identity(nodes.n), turn)
-
-    def complementary(self, gap: Array, force: Array, counts: ContactCounts) -> Array:
-        """L >= 0 complementary to gap + W (L - force), from the active set of ``force`` or of the gaps, (m,)."""
-        start = force > 0 if force.any() else gap < 0
-        return active_set(_Iterated(self, gap, force), start, counts)
-
-
-class _Iterated:
-    """The problem of :func:`.active_set.active_set` by conjugate gradients."""
-
-    noise = 10 * FINE
-
-    def __init__(self, W: Applied, gap: Array, force: Array) -> None:
-        self.W, self.m = W, len(gap)
-        self.L, self.g = force.copy(), gap.copy()
-        self.c = np.maximum(W.inverse.diagonal(), 1e-300)
-        self.tolerance = ROUGH
-
-    @property
-    def size(self) -> float:
-        """Scale of the forces."""
-        return float(np.abs(self.L).max(initial=0.0) + np.abs(self.c * self.g).max(initial=0.0))
-
-    def trial(self, active: np.ndarray) -> tuple[Array, Array]:
-        """Forces that close the gaps of ``active``, and all gaps."""
-        dropped = np.where(active, 0.0, self.L)
-        if dropped.any():
-            self.L = self.L - dropped
-            self.g = self.g - self.W @ dropped
-
-        P = self.W.inverse[active][:, active]
-        r = -self.g[active]
-        z = P @ r
-        p = z.copy()
-        rz = float(r @ z)
-        step = np.zeros(self.m)
-        largest = float(np.abs(z).max(initial=0.0))
-
-        # preconditioned conjugate gradients on the active points
-        for _ in range(LIMIT):
-            largest = max(largest, float(np.abs(self.L).max(initial=0.0)))
-            if np.abs(z).max(initial=0.0) <= self.tolerance * largest:
-                break
-
-            step[active] = p
-            answer = self.W @ step
-            alpha = rz / float(p @ answer[active])
-            self.L, self.g = self.L + alpha * step, self.g + alpha * answer
-            r = -self.g[active]
-            z = P @ r
-            rz, before = float(r @ z), rz
-            p = z + rz / before * p
-        else:
-            raise ConvergenceError(
-                f"Contact: conjugate gradients for {int(active.sum())} closed points did not converge in {LIMIT} iterations "
-                f"(error {np.abs(z).max() / largest:.1e} of the largest force). Contacts depend on each other."
-            )
-        return self.L, np.where(active, 0.0, self.g)
-
-    def sharpen(self) -> bool:
-        """Ask for the final accuracy; False when this was it."""
-        rough, self.tolerance = self.tolerance > FINE, FINE
-        return rough
-
-    def pivot(self) -> Array:
-        """No pivoting by products: the iteration has cycled at full accuracy."""
-        raise ConvergenceError(
-            "Contact: the active set of many contact points came back to an earlier one at full accuracy. Use a smaller dt."
-        )
-
-    def gap(self, L: Array) -> Array:
-        """Gaps under forces L."""
-        change = L - self.L
-        return self.g + self.W @ change if change.any() else self.g

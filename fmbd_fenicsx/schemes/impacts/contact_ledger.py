@@ -9,7 +9,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from ...linear.complementarity.active_set import ContactCounts
+from ...linear.complementarity.coulomb import ContactCounts
 from ...mechanics.contact.rows import Rows, Touch
 from ...rotations import Array
 from ...system.evaluation import Evaluation

@@ -18,9 +18,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...linear.blocks.field_blocks import Weights
-from ...linear.complementarity.active_set import ContactCounts
+from ...linear.complementarity.coulomb import ContactCounts
+from ...linear.complementarity.coulomb_matrix_free import contact_forces
 from ...linear.complementarity.delassus import Compliance
-from ...linear.complementarity.normal import solve_normal
 from ...mechanics.contact.contact_set import ContactSet
 from ...mechanics.contact.rows import Rows
 from ...rotations import Array
@@ -179,28 +179,7 @@ def small_problem(
         found = problem.forces(W, gap.reshape(force.shape), mu, force, counts)
         if found is not None:
             return found
-    if force.shape[1] > 1:
-        return frictional_forces(W, gap, mu, force, counts)
-    return normal_forces(W, gap, force[:, 0], counts)[:, None]
-
-
-def normal_forces(W: Any, gap: Array, force: Array, counts: ContactCounts) -> Array:
-    """Forces L complementary to gap + W (L - force); W as :meth:`Compliance.normal` gives it. Collective."""
-    if isinstance(W, np.ndarray):
-        return solve_normal(W, gap - W @ force, force > 0, counts)
-    return np.asarray(W.complementary(gap, force, counts))
-
-
-def frictional_forces(W: Any, gap: Array, mu: Array, force: Array, counts: ContactCounts) -> Array:
-    """Forces (m, d) of Coulomb's law for gaps and slips gap + W (f - force); frictionless scenes import none of this."""
-    q = (gap - W @ force.ravel()).reshape(force.shape)
-    if isinstance(W, np.ndarray):
-        from ...linear.complementarity.coulomb import solve_friction
-
-        return solve_friction(W, q, mu, force, counts)
-    from ...linear.complementarity.coulomb_matrix_free import solve_many
-
-    return solve_many(W, q, mu, force, counts)
+    return contact_forces(W, gap, mu, force, counts)
 
 
 def openings(contacts: ContactSet, system: Any, rows: Rows, gap: Array, xi: Array) -> Array:

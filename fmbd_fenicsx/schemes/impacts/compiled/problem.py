@@ -14,7 +14,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ....kernel_cache import address_of
-from ....linear.complementarity.active_set import ContactCounts
+from ....linear.complementarity.coulomb import ContactCounts
 from ....rotations import Array
 from ....system.compiled.declarations import enumeration
 from ....system.compiled.library import CONTACT, driver_library
