@@ -182,7 +182,7 @@ def test_heaps_that_do_not_touch_are_problems_of_their_own(d: int, monkeypatch: 
 
 def test_pivoting_is_for_few_points(monkeypatch: pytest.MonkeyPatch) -> None:
     """A tableau of 50 contacts takes minutes: a problem that nothing else solves is refused, and the step made shorter."""
-    failed = lambda problem, x, rho, counts: (1.0, x)  # noqa: E731
+    failed = lambda problem, x, u, rho, counts: (1.0, x)  # noqa: E731
     sizes: list[int] = []
     pivoted = coulomb._pivoted
     monkeypatch.setattr(coulomb, "_proximal_points", failed)

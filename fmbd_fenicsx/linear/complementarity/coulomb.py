@@ -122,7 +122,7 @@ def solved(problem: Coulomb, start: Array, gap: Array, counts: ContactCounts) ->
     size, x = best
     if size <= ACCEPTED:
         counts.residual = max(counts.residual, size)
-        return x
+        return np.concatenate((np.maximum(x[:, :1], 0.0), x[:, 1:]), axis=1)  # none pulls by roundoff
     raise ConvergenceError(
         f"The contact problem did not converge (residual {size:.1e} of the largest force)."
         + (PAINLEVE if problem.mu.any() else " Use a smaller dt.")
