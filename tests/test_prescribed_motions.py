@@ -295,3 +295,23 @@ def test_accelerations_that_jump_are_told(scheme: Any) -> None:
     knots = np.linspace(0.0, 1.0, 11)
     assert not run(CubicSpline(knots, np.sin(5 * knots)))[1]
     assert "and 3 more" in run(PchipInterpolator(knots, np.sin(5 * knots)))[1][0]
+
+
+def _asked_at_the_start(motion: Any) -> tuple[int, list[str]]:
+    """How often a run of one step asks a drive's function, and what runs say of its acceleration."""
+    times: list[Any] = []
+    arm = fmbd.RigidBody("arm", 1.0, 0.1, (0.5, 0.0))
+    pin = fmbd.revolute("pin", fmbd.ground, arm, center=(0, 0))
+    scene = fmbd.Scene("arm")
+    scene.add(arm, pin, fmbd.drive("way", fmbd.angle(pin), lambda t: times.append(t) or motion(t)))
+    times.clear()
+    found = fmbd.solve(scene, t_end=1.0, dt=1.0)
+    return len(times), [x for x in found.warnings if "acceleration of" in x]
+
+
+def test_smooth_formulas_are_not_searched_for_jumps() -> None:
+    """Sums, products and sines have none; a root that reaches zero has."""
+    asked, said = _asked_at_the_start(lambda t: 0.1 * t**2 + np.sin(t) / 2)
+    assert asked < 50 and not said
+    asked, said = _asked_at_the_start(lambda t: 0.1 * ((t - 0.5) * np.sqrt((t - 0.5) ** 2) + 0.25))
+    assert asked > 200 and "jumps at t = 0.5 s" in said[0]

@@ -57,7 +57,7 @@ class Accelerations:
 
 def warn_of_acceleration_jumps(system: System, schedule: StepSchedule) -> None:
     """Tell of drives, and of when their accelerations jump (s). Those that differences tell are smooth over their widths."""
-    known = (x for x, _ in prescribed(system) if isinstance(x, SmoothMotion) and not x.by_differences)
+    known = (x for x, _ in prescribed(system) if isinstance(x, SmoothMotion) and not (x.by_differences or x.analytic))
     for motion in {id(x): x for x in known}.values():
         try:
             found = _jumps(Accelerations(motion), instants(schedule, LOOKS))

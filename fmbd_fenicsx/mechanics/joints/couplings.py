@@ -28,7 +28,7 @@ class SmoothMotion:
 
     ``function`` gives these three where ``complete``, else s alone; the derivatives are then computed
     (:mod:`..kinds.time_derivatives`), to roundoff where the function is made of NumPy's functions, in one call where it writes
-    a ``formula``. ``positive``: s is a length.
+    a ``formula``, which is ``analytic`` where its accelerations cannot jump. ``positive``: s is a length.
     """
 
     name: str
@@ -40,6 +40,7 @@ class SmoothMotion:
     formula: Callable[[float, float], Rates | None] | None = None  # s' and s'' at t where s is a place
     smooth: SmoothIntervals = field(default_factory=SmoothIntervals)
     table: Callable[[float], Any] | None = None  # as the user gave it
+    analytic: bool = False
 
     def __call__(self, t: float) -> tuple[float, float, float]:
         """s, s', s'' at a time."""
@@ -178,7 +179,8 @@ def smooth_motion(
     complete = len(first) == 3
     written = None if complete else TimeFormula.of(function)
     formula = None if written is None else named(what, name, written.rates, time=0)
-    return SmoothMotion(name, asked, of, complete, differenced, positive, formula, table=given)
+    analytic = written is not None and written.smooth
+    return SmoothMotion(name, asked, of, complete, differenced, positive, formula, table=given, analytic=analytic)
 
 
 class CouplingBatch(Batch):

@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import AGREEMENTS, FmbdError
-from .expressions import Program, as_expression, gradient, passing, symbol
+from .expressions import Program, as_expression, gradient, passing, smooth, symbol
 from .jets import Jet, jet
 from .time_polynomials import FEW, LEVELS, PARTS, TimePolynomial, falls, polynomial, times_between
 
@@ -64,10 +64,13 @@ def _by_jets(function: Callable[[Any], Any], t: float) -> Rates | None:
 
 
 class TimeFormula:
-    """What a function t -> s wrote when it was called with a symbol, with its derivatives: s, s', s''."""
+    """What a function t -> s wrote when it was called with a symbol, with its derivatives: s, s', s''.
 
-    def __init__(self, s: Program) -> None:
-        self.s = s
+    ``smooth``: wherever it has a value.
+    """
+
+    def __init__(self, s: Program, smooth: bool) -> None:
+        self.s, self.smooth = s, smooth
 
     @classmethod
     def of(cls, function: Callable[[Any], Any]) -> TimeFormula | None:
@@ -75,9 +78,9 @@ class TimeFormula:
         with passing():
             try:
                 t = symbol("t")
-                (s,) = np.ravel(function(t))
-                first = gradient(as_expression(s), [t])[0]
-                return cls(Program([as_expression(s), first, gradient(first, [t])[0]], numbers=True))
+                s = as_expression(*np.ravel(function(t)))
+                first = gradient(s, [t])[0]
+                return cls(Program([s, first, gradient(first, [t])[0]], numbers=True), smooth(s))
             except Exception:
                 return None
 
