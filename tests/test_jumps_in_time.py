@@ -31,6 +31,8 @@ def under(force: Callable[[float], float]) -> looks.HeldState:
 
 JUMPING = {
     "one": (lambda t: np.sin(3.0 * t) + (t > 0.237), (0.237,)),
+    "with a value at the instant": (lambda t: np.sign(t - 0.237), (0.237,)),
+    "in the middle of an interval": (lambda t: np.sign(t - 12.5 / STEPS), (12.5 / STEPS,)),
     "in the first interval": (lambda t: t + (t > 0.003), (0.003,)),
     "a pulse": (lambda t: float(0.31 < t < 0.33), (0.31, 0.33)),
     "a staircase": (lambda t: np.floor((t - 0.013) / 0.035), tuple(0.013 + 0.035 * np.arange(29))),

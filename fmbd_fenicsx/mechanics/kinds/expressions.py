@@ -371,16 +371,6 @@ _NUMPY: dict[str, Callable[..., Any]] = {
 }
 
 
-def smooth(result: Expression) -> bool:
-    """Whether it is so wherever it has a value: without roots, which end at zero, angles within a turn, and poles."""
-
-    def kinked(x: Expression) -> bool:
-        pole = x.operation == "/" and x.arguments[1].operation != "constant"
-        return pole or x.operation in ("sqrt", "atan2", "nearest_turn")
-
-    return not any(map(kinked, _ordered([result])))
-
-
 # the same of plain numbers, some ten times sooner; what is not finite may be an error
 _PLAIN: dict[str, Callable[..., Any]] = {
     "+": operator.add,

@@ -22,13 +22,13 @@ import math
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from operator import mul, sub
+from operator import mul, sub, truediv
 from typing import Any
 
 import numpy as np
 
 from ...errors import AGREEMENTS, FmbdError
-from .expressions import Program, as_expression, gradient, passing, smooth, symbol
+from .expressions import Program, as_expression, gradient, passing, symbol
 from .jets import Jet, jet
 from .time_polynomials import FEW, LEVELS, PARTS, TimePolynomial, falls, polynomial, times_between
 
@@ -80,7 +80,9 @@ class TimeFormula:
                 t = symbol("t")
                 s = as_expression(*np.ravel(function(t)))
                 first = gradient(s, [t])[0]
-                return cls(Program([s, first, gradient(first, [t])[0]], numbers=True), smooth(s))
+                return cls(
+                    Program([s, first, gradient(first, [t])[0]], numbers=True), _smooth(Program([s], numbers=True))
+                )
             except Exception:
                 return None
 
@@ -92,6 +94,12 @@ class TimeFormula:
             return None
         known = math.isfinite(first) and math.isfinite(second)
         return (first, second) if known and abs(value - s) <= SAME * abs(s) else None
+
+
+def _smooth(s: Program) -> bool:
+    """Whether a formula is so wherever it has a value: without roots, which end at zero, angles within a turn, and poles."""
+    poles = any(of is truediv and s.given[places[1]] is None for _, of, places in s.steps)
+    return not poles and not any(of in (math.sqrt, math.atan2) for _, of, _ in s.steps)
 
 
 def along(function: Callable[[Any, Any], Any], x: Any, v: Any, t: float) -> Rates | None:

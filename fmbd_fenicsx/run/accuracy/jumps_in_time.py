@@ -21,11 +21,12 @@ from ...system.scene.scene import Scene
 from ...system.system import System
 from ..judges.energy_check import closed
 from ..result import Run
-from ..schedule import StepSchedule, far_side, near_side
+from ..schedule import SIDE, StepSchedule, far_side, near_side
 from .certificate import about_kinks, struck_or_sampled
 
 MOST, USUAL = 1000, 100  # intervals of a run that are looked at, at most, and where steps are not known
-HALVINGS = 60  # to roundoff of any time, from any interval
+HALVINGS = 64  # to roundoff of any time, from any interval
+HALF = 0.4871  # of an interval: its middle may be the very instant of a jump, where sign(0) is far from either side
 JUMPS = 0.6  # share of the change in an interval that its half with a jump has
 SEEN = 1e-7  # change over the largest force, speed or acceleration below which it is none
 UNEVEN = 0.3  # share of the change in an interval that its neighbours do not tell, from which on it may hold a jump
@@ -165,7 +166,7 @@ def _halved(held: TimeRows, x: Intervals, scale: Array) -> dict[int, float]:
     """Number of an interval with a jump -> when (s)."""
     whole = held.change(x.before, x.behind, scale)
     for _ in range(HALVINGS):
-        middle = 0.5 * (x.low + x.high)
+        middle = x.low + HALF * (x.high - x.low)
         if not ((x.low < middle) & (middle < x.high)).any():
             break
         between = held.rows(middle)
@@ -175,7 +176,8 @@ def _halved(held: TimeRows, x: Intervals, scale: Array) -> dict[int, float]:
         early = first > second
         ends = np.where(early, (x.low, middle), (middle, x.high))
         rows = np.where(early[:, None], (x.before, between), (between, x.behind))
-        kept = np.maximum(first, second) > JUMPS * whole
+        # between the last numbers that instant is met
+        kept = (np.maximum(first, second) > JUMPS * whole) | (x.high - x.low <= SIDE * np.spacing(x.high))
         whole, x = whole[kept], Intervals(x.at, *ends, *rows).only(kept)
     return {int(k): float(t) for k, t in zip(x.at, x.high, strict=True)}
 
