@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,11 +13,13 @@ import scipy.linalg as sl
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError, InputError
 from fmbd_fenicsx.fem.fields import Field
+from fmbd_fenicsx.fem.loads import pressure, traction
 from fmbd_fenicsx.materials import plane_stress
 from fmbd_fenicsx.mechanics.elastic.floating import FloatingField
 from fmbd_fenicsx.mechanics.placements import Attached, FrameMotion
 from fmbd_fenicsx.mechanics.reduction.reduced import ReducedPart
 
+MESHES = Path(__file__).parents[1] / "meshes"
 MODULUS, DENSITY, HEIGHT = 1e9, 1000.0, 0.02
 UNIT = np.sqrt(MODULUS * HEIGHT**2 / 12 / DENSITY)  # rad/s, length 1 m
 QUIET = fmbd.Output(estimate_error=False)
@@ -52,8 +55,9 @@ def test_rotating_cantilever(rod_mesh: Callable[..., Any], rate: int) -> None:
 
 @pytest.mark.mpi
 def test_reduced_stiffening_is_the_field_projected(rod_mesh: Callable[..., Any]) -> None:
-    """At a random motion the reduced rows are the full rows on the modes."""
-    body = blade(rod_mesh(dim=2, h=0.1, height=0.1))
+    """At a random motion the reduced rows are the full rows on the modes, with loads that turn with the blade too."""
+    loads = pressure("tip", 2e4), traction("side", (3e3, -5e3), follower=True), traction("tip", (0.0, 1e4))
+    body = blade(rod_mesh(dim=2, h=0.1, height=0.1)).with_(loads=loads)
     made = body.reduced(modes=4)
     field = Field("blade", body.mesh, body.forms())
     full, part = FloatingField(field, 0, [], body.frame, "pin"), ReducedPart("blade", made.constants, 0, [])
@@ -61,12 +65,49 @@ def test_reduced_stiffening_is_the_field_projected(rod_mesh: Callable[..., Any])
     motion = FrameMotion(0.0, np.eye(2), rng.standard_normal(3), 1e3 * rng.standard_normal(3), rng.standard_normal(2))
     phi, n = made.reduction.phi, made.constants.n_modes
     eta, rate, second = 1e-2 * rng.standard_normal((3, n))
-    rows = full.force(motion, (phi @ eta, phi @ rate, phi @ second))[1]
-    projected = field.total(phi.T @ rows)
-    np.testing.assert_allclose(
-        part.force(motion, (eta, rate, second))[1], projected, atol=1e-8 * np.abs(projected).max()
-    )
+    full_local, local = (phi @ eta, phi @ rate, phi @ second), (eta, rate, second)
+    on_frame, rows = full.force(motion, full_local)
+    power = full.given(motion, full_local[:2])
+    expected = field.total(phi.T @ rows)
+    frame, modes = part.force(motion, local)
+    np.testing.assert_allclose(modes, expected, atol=1e-8 * np.abs(expected).max())
+    np.testing.assert_allclose(frame, on_frame, atol=1e-8 * np.abs(on_frame).max())
+    assert part.given(motion, local[:2]) == pytest.approx(power, rel=1e-9)
     field.destroy()
+
+
+def column(frame: str, side: tuple[str, ...], load: float, *, reduced: bool) -> fmbd.Body:
+    """Of length 1, pressed by this force along itself over the pressure on these sides."""
+    mesh = fmbd.read_gmsh(MESHES / "block.py", size=(1.0, 0.05), counts=(12, 1), origin=(0.0, -0.025))
+    held: dict[str, Any] = (
+        {"stiffening": "left"} if frame == "mean" else {"frame": Attached("left"), "stiffening": True}
+    )
+    loads = [pressure(s, load / 0.05) for s in side]
+    body = fmbd.FloatingBody("column", mesh, density=DENSITY, elastic=plane_stress(1e7, 0.3), loads=loads, **held)
+    return body.reduced(basis=fmbd.CraigBampton(("left", "right"), 8)) if reduced else body
+
+
+@pytest.mark.parametrize("reduced", [False, True])
+@pytest.mark.parametrize("frame", ["mean", "attached"])
+def test_pressures_turn_with_the_surfaces_of_a_column(frame: str, reduced: bool) -> None:
+    """Pressed from all sides beyond Euler's load it vibrates on pins as without; pressed at its end it flutters from Beck's on."""
+    stiffness = 1e7 * 0.05**3 / 12
+
+    def eigenvalues(load: float, side: tuple[str, ...], *, pinned: bool) -> Any:
+        body = column(frame, side, load * stiffness, reduced=reduced)
+        scene = fmbd.Scene("column")
+        hold = fmbd.revolute if pinned else fmbd.fixed
+        scene.add(body, hold("foot", fmbd.ground, body.surface("left"), center=(0, 0)))
+        if pinned:
+            scene.add(fmbd.point_on_line("guide", fmbd.ground, body.surface("right"), center=(1, 0), axis=(1, 0)))
+        return fmbd.modes(scene, 2, at=fmbd.equilibrium(scene)).eigenvalues
+
+    all_sides = ("left", "right", "bottom", "top")
+    free, pressed = (eigenvalues(load, all_sides, pinned=True) for load in (0.0, 1.2 * np.pi**2))
+    np.testing.assert_allclose(pressed, free, rtol=5e-3, atol=1e-6)
+    stable, flutter = (eigenvalues(load, ("right",), pinned=False).real for load in (19.4, 20.4))  # Beck: 20.05
+    assert np.abs(stable).max() < 1e-6
+    assert flutter.max() > 1.0
 
 
 @pytest.mark.parametrize("kind", ["floating", "reduced", "beam"])

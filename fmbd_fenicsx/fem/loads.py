@@ -245,6 +245,15 @@ class AppliedLoads:
         """L(u; v) of a load on the deformed body, UFL."""
         return lambda u, v: load.deformed(u, v, *self._measures)  # type: ignore[misc]
 
+    def turning_form(self, load: Load) -> Any:
+        """dL(u; v)[w] / du of a load on the deformed body at u = 0, UFL of trial function w and test function v."""
+        import ufl
+        from dolfinx import fem
+
+        undeformed = fem.Function(self.field.space)
+        form = self.form_of(load)(undeformed, ufl.TestFunction(self.field.space))
+        return ufl.derivative(form, undeformed, ufl.TrialFunction(self.field.space))
+
     def at(self, t: float) -> None:
         """Set the factors of :meth:`moving_form` to those at time t."""
         for load, factor, _ in self.moving:

@@ -145,7 +145,8 @@ class FloatingField(FieldPart):
         bent, x, load = self._straining(stiffening, motion, local)
         d = self.field.dim
         x.frame[d:] -= stiffening.load_moment(load, bent, local[0])
-        return x.frame, bent @ load + stiffening.first @ np.concatenate((x.a, x.L.T.ravel()))
+        frame, turned = stiffening.turned.rows(motion.t, local[0])
+        return x.frame - frame, bent @ load + stiffening.first @ np.concatenate((x.a, x.L.T.ravel())) - turned
 
     def _straining(
         self, stiffening: Stiffening, motion: FrameMotion, local: tuple[Array, ...]
@@ -211,7 +212,7 @@ class FloatingField(FieldPart):
         with large displacements needs them. They cost a few back-solves, no factor.
         """
         load = np.zeros(0) if self.stiffening is None else self._straining(self.stiffening, motion, local)[2]
-        self._take_tangent(TangentPoint(0.0, local[0].copy(), np.zeros(self.n), (load, motion.pull), None))
+        self._take_tangent(TangentPoint(motion.t, local[0].copy(), np.zeros(self.n), (load, motion.pull), None))
         return True
 
     def _take_tangent(self, at: TangentPoint) -> None:
@@ -219,8 +220,7 @@ class FloatingField(FieldPart):
         m = self.motions
         d = f.dim
         if self.stiffening is not None:
-            self.stiffening.set_load(*at.load)
-            f.linearise(None, self.stiffening.matrix_form)
+            f.linearise(None, *self.stiffening.tangent_forms(at.t, *at.load))
         elif f.nonlinear:
             f.linearise(at.U)
 
@@ -332,7 +332,9 @@ class FloatingField(FieldPart):
             d = f.dim
             load, bent = self.stiffening.coefficients(np.zeros(d + d * d), motion.t, motion.R), self.stiffening.bent(U)
             out["loads"] += float(self.stiffening.load_moment(load, bent, U) @ motion.twist[d:])
-            out["loads"] -= float(f.total(np.array(Ud @ (bent @ load))))
+            frame, turned = self.stiffening.turned.rows(motion.t, U)
+            out["loads"] += float(frame[:d] @ (motion.R.T @ motion.twist[:d]) + frame[d:] @ motion.twist[d:])
+            out["loads"] += float(f.total(np.array(Ud @ (turned - bent @ load))))
         return out
 
     def _damping(self, Ud: Array) -> Array:

@@ -193,6 +193,8 @@ class ConditionedBody:
         f = self.field
         C = np.zeros((self.C.shape[1], B.shape[1])) if C is None else C
         U, mu = self._bordered(B, C)
+        # forces that the conditions balance move nothing but by roundoff of what they would move alone
+        floor = np.finfo(float).eps ** 2 * f.total(((U + self.Y @ mu) ** 2).sum(axis=0))
         # the factor is that of K + s M: corrections of the residual of K
         before, left = np.full(B.shape[1], np.inf), np.arange(B.shape[1])
         for count in range(100):
@@ -212,7 +214,7 @@ class ConditionedBody:
             small = ROUNDED if count <= LOWER * SLOW else ROUGH
             stays = (change >= 0.25 * before[left]) & (change <= small * size)
             before[left] = change
-            left = left[~((change <= 1e-24 * size) | stays)]
+            left = left[~((change <= 1e-24 * size + floor[left]) | stays)]
         raise FmbdError(f'Body "{f.name}": static modes did not converge; the conditions do not hold the body.')
 
     def static_modes(self) -> Array:

@@ -30,8 +30,11 @@ from typing import Any
 import numpy as np
 
 from ... import dolfinx_compat as compat
+from ...fem.assembly import times_columns
 from ...fem.fields import Field
-from ...rotations import Array
+from ...fem.loads import Load
+from ...fem.viscous import symmetric
+from ...rotations import Array, axial
 from ..frames import polar
 from .foreshortening import Shortening, rigid_ports
 from .second_order import DisplacementMoments, SecondOrder, load_moment
@@ -84,6 +87,58 @@ def products(matrices: Sequence[Any], d: int, U: Array) -> Array:
     return out.reshape(len(U), len(matrices))
 
 
+class TurnedLoads:
+    """What displacements of one ``field`` add to the nodal forces b of loads that are carried along with its material,
+
+        s(t) B u,     B u = dL(0; v)[u],                                                                     (3)
+
+    to first order: a pressure turns with its surface and acts on the stretched one. Collective to build and to use.
+    """
+
+    def __init__(self, field: Field) -> None:
+        import dolfinx.fem.petsc as fp
+        from dolfinx import fem
+
+        self.field = field
+        self.loads = [(load, b) for load, b in field.loads.fixed if load.carried]
+        forms = [field.loads.turning_form(load) for load, _ in self.loads]
+        self._factors = [fem.Constant(field.mesh.dolfinx, 0.0) for _ in forms]
+        self._matrices = [fp.assemble_matrix(compat.form(form)) for form in forms]
+        for A in self._matrices:
+            A.assemble()
+        # the symmetric half of their stiffness
+        stiffness = [-symmetric(factor * form) for factor, form in zip(self._factors, forms, strict=True)]
+        self.matrix_forms = [compat.form(sum(stiffness[1:], stiffness[0]))] if stiffness else []
+
+    def set_time(self, t: float) -> None:
+        """Take the factors of :attr:`matrix_forms` at time t."""
+        for (load, _), factor in zip(self.loads, self._factors, strict=True):
+            factor.value = load.factor(t, self.field.name)
+
+    def columns(self, U: Array) -> list[tuple[Load, Array, Array]]:
+        """Of each load for columns of displacements U (n d, k): B U (n d, k), and the rows of the frame (n_twist, k) by it and by
+        the ways of b.
+        """
+        f, d = self.field, self.field.dim
+        found = []
+        for (load, b), A in zip(self.loads, self._matrices, strict=True):
+            more = times_columns(A, U)
+            turned, moved = (x.reshape(f.n, d, -1) for x in (more, U))
+            moment = [axial(f.X.T @ turned[:, :, k] + moved[:, :, k].T @ b) for k in range(U.shape[1])]
+            frame = np.concatenate((turned.sum(0), np.reshape(moment, (U.shape[1], -1)).T))
+            found.append((load, more, np.asarray(f.total(frame))))
+        return found
+
+    def rows(self, t: float, U: Array) -> tuple[Array, Array]:
+        """What displacements U (n d,) add to the forces of all loads, on the frame (n_twist,) and on the nodes (n d,)."""
+        frame, nodal = np.zeros(self.field.motions.n_twist), np.zeros(len(U))
+        for load, more, on_frame in self.columns(U[:, None]):
+            factor = load.factor(t, self.field.name)
+            frame += factor * on_frame[:, 0]
+            nodal += factor * more[:, 0]
+        return frame, nodal
+
+
 class Stiffening:
     """(1), (2) for one field; collective to build and to use.
 
@@ -116,6 +171,7 @@ class Stiffening:
         self.columns = static([-field.mass(X) for X in inertia])  # (n d, d + d^2): u_0 for unit a_c and unit L_ij
 
         self.loads = [(load, b) for load, b in field.loads.fixed if not load.internal]
+        self.turned = TurnedLoads(field)
         self.load_columns = [static([np.outer(b[:, i], np.eye(d)[j]) for i, j in pairs]) for _, b in self.loads]
         self.section_columns = {s: static(resultant_columns(field, s).T) for s in surfaces}
         body.destroy()
@@ -212,14 +268,15 @@ class Stiffening:
         return DisplacementMoments.of(both[0], both[1], d)
 
     def load_moment(self, coefficients: Array, bent: Array, U: Array) -> Array:
-        """Moment (n_rot,) in body axes of the loads on the second-order displacements; collective."""
+        """Moment (n_rot,) in body axes of dead loads on the second-order displacements; collective."""
         d = self.field.dim
         k = d + d * d
         axes = coefficients[k:].reshape(-1, d, d)
         twice = self.field.total(bent[:, k:].T @ U).reshape(-1, d, d)
         out = np.zeros(self.field.motions.n_rot)
-        for A, z in zip(axes, twice, strict=True):
-            out += load_moment(A, z)
+        for (load, _), A, z in zip(self.loads, axes, twice, strict=True):
+            if not load.carried:
+                out += load_moment(A, z)
         return out
 
     def _scalar(self, u: Array) -> Any:
@@ -248,12 +305,14 @@ class Stiffening:
         if self._p0 is not None:
             self._p0.x.array[:] = self.field.pressure_of(U).x.array
 
-    def set_load(self, coefficients: Array, pull: Array | None = None) -> None:
-        """Take u_0 for the numbers of :meth:`coefficients`, and for forces ``pull`` on the surfaces."""
+    def tangent_forms(self, t: float, coefficients: Array, pull: Array | None = None) -> list[Any]:
+        """Compiled forms of what stiffens at time t, for :meth:`coefficients` and forces ``pull`` on the surfaces."""
         U = self._all @ coefficients
         if pull is not None:
             U = U + np.concatenate(list(self.section_columns.values()), axis=1) @ pull
         self._hold(U)
+        self.turned.set_time(t)
+        return [self.matrix_form, *self.turned.matrix_forms]
 
     def modal(self, phi: Array, columns: Array) -> Array:
         """phi^T K_g phi for every column u_0, (columns, m, m); collective."""

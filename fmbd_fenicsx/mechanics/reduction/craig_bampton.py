@@ -368,12 +368,26 @@ def _constants(body: Any, f: Field, K: Array, phi: Array, stress: Stiffening | N
 
     stiffening = None
     load_stress: dict[Any, Array] = {}
+    load_turned: dict[Any, Array] = {}
     if stress is not None:
         stiffening = stress.modal(phi, stress.columns)
         for (load, _), columns in zip(stress.loads, stress.load_columns, strict=True):
             load_stress[load] = stress.modal(phi, columns).reshape(d, d, m, m)
+        for load, more, frame in stress.turned.columns(phi):
+            load_turned[load] = np.concatenate((frame, f.total(phi.T @ more)))
     return ReducedConstants(
-        f.mass_total, S, T, K, D, surfaces, f.center, f.size, stiffening, *_loads(f, Z), load_stress
+        f.mass_total,
+        S,
+        T,
+        K,
+        D,
+        surfaces,
+        f.center,
+        f.size,
+        stiffening,
+        *_loads(f, Z),
+        load_stress,
+        load_turned,
     )
 
 

@@ -56,7 +56,8 @@ class ReducedConstants:
     Attributes: ``mass`` kg; ``S`` (d, m + 1) and ``T`` (m + 1, m + 1, d, d) of (1); ``K``, ``D`` (m, m) stiffness and
     damping; ``surfaces`` by name; ``center`` (d,) origin of the frame at the start, world axes; ``size`` m;
     ``stiffening`` (d + d^2, m, m): G of (2) for unit a and L, or None; ``loads``: pairs of a load of ``fem.loads`` and its
-    (m + 1, d, d): sum_n b_n Z_a,n^T; ``load_stress``: G of their stress, (d, d, m, m): the nodal component i along axis j.
+    (m + 1, d, d): sum_n b_n Z_a,n^T; ``load_stress``: G of their stress, (d, d, m, m): the nodal component i along axis j;
+    ``load_turned``: rows of the frame and of the modes, body axes, by what amplitudes add to carried ones, (n_twist + m, m).
     """
 
     mass: float
@@ -71,6 +72,7 @@ class ReducedConstants:
     loads: tuple[tuple[Any, Array], ...] = ()
     load_sums: dict[Any, Array] = field(default_factory=dict)
     load_stress: dict[Any, Array] = field(default_factory=dict)
+    load_turned: dict[Any, Array] = field(default_factory=dict)
 
     @property
     def n_modes(self) -> int:
@@ -233,6 +235,7 @@ class ReducedPart(Part):
     def _apply(self, load: Any, B: Array, motion: FrameMotion, p: Array, out: tuple[Array, Array]) -> None:
         """Subtract a load from the rows of the frame and of the modes."""
         d, stress = self.dim, self.constants.load_stress.get(load)
+        turned = self.constants.load_turned.get(load)
         factor = load.factor(motion.t, self.name)
         if not load.follower:
             B = motion.R.T @ B  # nodal forces in body axes
@@ -241,7 +244,13 @@ class ReducedPart(Part):
             axes = factor * (np.eye(d) if load.follower else motion.R)
             bent = stress @ p[1:]
             out[1][:] += np.tensordot(axes, bent, 2)
-            out[0][d:] -= load_moment(axes, bent @ p[1:])
+            if turned is None:
+                out[0][d:] -= load_moment(axes, bent @ p[1:])
+        if turned is not None:
+            more = factor * (turned @ p[1:])
+            out[0][:d] -= motion.R @ more[:d]
+            out[0][d:] -= more[d : len(out[0])]
+            out[1][:] -= more[len(out[0]) :]
         if not load.internal:
             out[0][:d] -= factor * (motion.R @ self._load_sum(load, motion.R))
             out[0][d:] -= factor * axial((B[0] if load.carried else np.tensordot(p, B, 1)).T)
@@ -269,6 +278,9 @@ class ReducedPart(Part):
         for load in c.load_stress:
             axes = np.eye(self.dim) if load.follower else motion.R
             stress = stress + load.factor(motion.t, self.name) * np.tensordot(axes, c.load_stress[load], 2)
+        for load, turned in c.load_turned.items():
+            on_modes = turned[-self.n :]
+            stress = stress - load.factor(motion.t, self.name) * 0.5 * (on_modes + on_modes.T)
         return stress
 
     def virial(self, port: Array, t: float, R: Array, centre: Array) -> Array:
