@@ -7,7 +7,8 @@ A load is L(v) times a function of time; its nodal vector b is assembled once. A
 
 with b turned into body axes where it is dead. Loads that are carried along with the material (pressures, follower forces)
 have the moment  sum_n X_n x b_n  instead: a linear body leaves out how displacements turn b, so it leaves out how they shift b,
-too. With the one alone a body under pressure from all sides would begin to spin. The same load acts on floating, reduced and
+too. With the one alone a body under pressure from all sides would begin to spin. Bodies with stiffening have both, to first
+order (``mechanics.elastic.stiffening``). The same load acts on floating, reduced and
 absolute bodies. On a body with an energy, whose displacements are of any size, followers and internal loads are forms of the
 deformed body, F = 1 + grad u:
 
@@ -91,7 +92,7 @@ def traction(surface: str, value: Sequence[float], *, time: Time = steady, follo
         surface: its name in the mesh.
         value: in Pa, in the plane in N/m, (d,), world axes.
         time: factor over time (s); by default the full load from the start. Jumps need small steps.
-        follower: the force turns with the body's frame, ``value`` in its axes; with an energy, with the material it acts on.
+        follower: the force turns with the body's frame, ``value`` in its axes; with an energy or stiffening, with the material.
     """
     return _uniform("traction", value, time, follower, surface)
 
@@ -103,7 +104,7 @@ def body_force(value: Sequence[float], *, time: Time = steady, follower: bool = 
     Args:
         value: in N/m^3, in the plane in N/m^2, (d,), world axes.
         time: factor over time (s); by default the full load from the start.
-        follower: the force turns with the body's frame, ``value`` in its axes; with an energy, with the material it acts on.
+        follower: the force turns with the body's frame, ``value`` in its axes; with an energy or stiffening, with the material.
     """
     return _uniform("body_force", value, time, follower)
 

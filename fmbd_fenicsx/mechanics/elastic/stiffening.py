@@ -12,8 +12,9 @@ Displacements u then work against this stress on the nonlinear part of the strai
 
 It is linear in (a, L, f): d + d^2 constant fields for inertia, d^2 for each load of ``fem.loads``, and one for each unit
 force and moment on every other surface, which joints, springs and forces act on
-(``mechanics.elastic.foreshortening``). Thermal stress is
-left out. a and L are those of the mean motion of the body, and second-order displacements have inertia, too
+(``mechanics.elastic.foreshortening``). Loads that are carried along with the material turn with it, too
+(:class:`TurnedLoads`). Thermal stress is left out.
+a and L are those of the mean motion of the body, and second-order displacements have inertia, too
 (``mechanics.elastic.second_order``). (2) is made from the user's own elastic form a(u, v): in a(u_0, v) each
 grad(v) becomes grad(w)^T grad(v). Without (2) a beam that spins faster
 than its first bending frequency (in the plane of rotation) has no stable linear solution.
