@@ -79,11 +79,11 @@ def test_an_order_that_is_not_needed_is_not_seen(monkeypatch: pytest.MonkeyPatch
     times = np.linspace(0.0, case.t_end, TIMES)
     output = fmbd.Output(times=tuple(times), progress=False)
     run = fmbd.solve(case.scene(), t_end=case.t_end, tol={"centre": 1e-2}, output=output)
-    assert [x.steps for x in made] == [100, 50] and np.isnan(run.observed_order["centre"])
+    assert [x.steps for x in made] == [200, 100] and np.isnan(run.observed_order["centre"])
     monkeypatch.undo()
     true = float(np.abs(run["centre"] - case.reference(case, times)).max())
     assert 0.5 < run.certificate["centre"].total / true < 3.0
-    fine = fmbd.solve(case.scene(), t_end=case.t_end, tol={"centre": 2e-3})
+    fine = fmbd.solve(case.scene(), t_end=case.t_end, tol={"centre": 5e-4})
     assert fine.observed_order["centre"] == pytest.approx(2.0, abs=0.1)
 
 
@@ -421,7 +421,7 @@ def test_a_tolerance_without_its_sensor_is_refused_with_the_remedy(tol: Any, wor
         fmbd.solve(pendulum(), t_end=0.1, tol=tol)
 
 
-@pytest.mark.parametrize(("name", "attempts"), [("mass on spring", 2), ("clamped beam", 3), ("geared chain", 2)])
+@pytest.mark.parametrize(("name", "attempts"), [("mass on spring", 2), ("clamped beam", 3), ("geared chain, force", 2)])
 def test_the_last_attempt_is_a_plain_run(name: str, attempts: int) -> None:
     """What attempts share, starts and tables of compiled steps, changes no number of a run."""
     case = CASES[name]
@@ -441,7 +441,8 @@ def test_far_larger_steps_tell_the_error_where_the_order_is_seen(monkeypatch: py
     output = fmbd.Output(times=tuple(times))
 
     def solved() -> tuple[float, float]:
-        run = fmbd.solve(case.scene(), t_end=case.t_end, tol={case.sensor: 1e-4}, output=output)
+        dt, tol = case.t_end / 100, {case.sensor: 1e-4}
+        run = fmbd.solve(case.scene(), t_end=case.t_end, dt=dt, tol=tol, output=output)
         return run.certificate[case.sensor].time or 0.0, float(
             np.abs(run[case.sensor] - case.reference(case, times)).max()
         )

@@ -18,6 +18,7 @@ import numpy as np
 from ....checks import number
 from ....errors import ConvergenceError, InputError, LinearSolveError
 from ....log import log
+from ....mechanics.bodies.bodies import RigidBody
 from ....notices import Withheld
 from ....schemes.declared import Declared, checked_scheme
 from ....schemes.onestep.alpha.generalized_alpha import GeneralizedAlpha
@@ -29,7 +30,7 @@ from ...schedule import step_schedule
 from ...settings import check_tangent, default_scheme
 from ...single_run import Solved
 from ..beside_steps import damped_vibrations, with_early_rest
-from ..certificate import FLOOR, Certificate, moving, stated_of
+from ..certificate import FLOOR, Certificate, moving, stated_of, struck_or_sampled
 from ..companion_runs import UNFIT, Compared
 from ..deviation import Deviation
 from ..equal_steps import Orders, TimeError, astray, between, known_orders
@@ -72,7 +73,8 @@ from .shares import (
 )
 
 ATTEMPTS = 12
-START = 100  # steps of the first attempt where no dt is given
+# steps of the first attempt where no dt is given; of rigid bodies alone, of which so many take as long as to begin a run does
+START, START_RIGID = 100, 200
 # the same where spaces or modes have to be found first, whose errors are seen with few steps, and nothing touches: of bodies on
 # meshes, whose steps cost, and of slender ones, of which a run takes most of its time before its first step; a look at spaces
 # takes a quarter of them
@@ -269,7 +271,7 @@ def _after(
 
 
 def _first(scene: Scene, scheme: Any, t_end: float, dt: float | None) -> AttemptPlan:
-    """The first attempt: the scene as it is, with the steps given or a hundred of them, or with a loose tolerance."""
+    """The first attempt: the scene as it is, with the steps given or a hundred or two of them, or with a loose tolerance."""
     scheme = _default(scene, t_end) if scheme is None else checked_scheme(scheme)
     if Declared.by(scheme).adaptive:
         scheme = replace(scheme, rtol=max(scheme.rtol, LOOSEST))
@@ -278,7 +280,8 @@ def _first(scene: Scene, scheme: Any, t_end: float, dt: float | None) -> Attempt
     spaces = bool(meshed_bodies(scene) or modal_bodies(scene)) and not scene.contacts
     scout = SCOUT_SLENDER if slender(scene) else SCOUT
     look = scout // 4 if spaces and dt is None and not modal_bodies(scene) else 0
-    dt = t_end / (scout if spaces else START) if dt is None else dt
+    rigid = all(isinstance(body, RigidBody) for body in scene.bodies.values()) and not struck_or_sampled(scene)
+    dt = t_end / (scout if spaces else START_RIGID if rigid else START) if dt is None else dt
     schedule = step_schedule(scene, scheme, t_end, dt, multiple=4, at_samples=True)
     # few steps share half of their ends with those of the next attempts, so that there are enough to be compared
     grain = schedule.steps // (2 if schedule.steps <= FEW else 4)
