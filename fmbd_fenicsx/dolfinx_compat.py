@@ -66,14 +66,6 @@ def _partitioner(mesh: Any) -> Any:
         return mesh.create_cell_partitioner(mesh.GhostMode.shared_facet, 2)
 
 
-def refine(msh: Any) -> Any:
-    """The mesh with every edge halved; collective."""
-    from dolfinx import mesh
-
-    msh.topology.create_entities(1)
-    return mesh.refine(msh, partitioner=_partitioner(mesh))[0]
-
-
 def coordinate_element(geometry: Any) -> Any:
     """The element that maps the cells of a mesh, which has one."""
     known = getattr(geometry, "cmaps", None)

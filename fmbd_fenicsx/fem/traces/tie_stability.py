@@ -26,8 +26,7 @@ import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
 
-from ... import dolfinx_compat as compat
-from ...errors import InputError, MeshError
+from ...errors import MeshError
 from ...rotations import Array
 from .mortar import mortar
 from .multipliers import default_space
@@ -92,61 +91,10 @@ def infsup_refined(tie: Any) -> Refined:
     if cells * 2**mesh.dim > LIMIT:
         return Refined(coarse, None)
     try:
-        finer = halved(mesh, name)
+        finer = mesh.refined()
     except MeshError:  # nobody knows how it was made
         return Refined(coarse, None)
     return Refined(coarse, infsup((finer, name), tie.space, degree=tie.a.body.degree))
-
-
-def halved(mesh: Any, surface: str) -> Any:
-    """The mesh with every edge halved, and one of its surfaces; collective. DOLFINx halves simplices, others are made again.
-
-    Raises:
-        MeshError: a mesh of quadrilaterals or hexahedra that cannot be made again.
-        InputError: the refined surface has another area (curved surfaces, facets with extreme angles).
-    """
-    from dolfinx import mesh as dmesh
-
-    from ..mesh.mesh import Mesh
-
-    d = mesh.dim
-    if mesh.dolfinx.topology.cell_name() in ("quadrilateral", "hexahedron"):
-        return mesh.refined()
-    coarse = surface_trace(mesh, surface)
-
-    fine = compat.refine(mesh.dolfinx)
-    fine.topology.create_connectivity(d - 1, d)
-    facets = np.sort(dmesh.exterior_facet_indices(fine.topology)).astype(np.int32)
-    middle = dmesh.compute_midpoints(fine, d - 1, facets)[:, :d]
-    mine = facets[_inside(coarse, middle)]
-    tags = dmesh.meshtags(fine, d - 1, mine, np.full(len(mine), 1, dtype=np.int32))
-
-    made = Mesh(fine, tags, {surface: 1}, mesh.volume, mesh.label)
-    # refinement keeps a flat surface: another area tells that facets were lost
-    area = surface_trace(made, surface).sizes.sum()
-    if abs(area - coarse.sizes.sum()) > 1e-6 * area:
-        raise InputError(f"{coarse.label}: its area {coarse.sizes.sum():.6g} became {area:.6g} by refinement.")
-    return made
-
-
-def _inside(coarse: Trace, points: Array) -> np.ndarray:
-    """Which points lie on the facets of a trace."""
-    from scipy.spatial import cKDTree
-
-    hit = np.zeros(len(points), dtype=bool)
-    if len(points) == 0:
-        return hit
-    _, near = cKDTree(coarse.corners.mean(1)).query(points, k=min(12, len(coarse.nodes)))
-    for candidate in near.reshape(len(points), -1).T:
-        # foot of the perpendicular on the candidate, and how far away the point is
-        e = np.swapaxes(coarse.corners[candidate][:, 1:] - coarse.corners[candidate][:, :1], 1, 2)
-        away = points - coarse.corners[candidate][:, 0]
-        z = np.einsum("nmd,nd->nm", np.linalg.pinv(e), away)
-        off = np.linalg.norm(away - np.einsum("ndm,nm->nd", e, z), axis=1)
-        size = np.linalg.norm(e, axis=(1, 2))
-
-        hit |= (z.min(1) > -1e-9) & (z.sum(1) < 1 + 1e-9) & (off < 1e-9 * size)
-    return hit
 
 
 def infsup_together(ties: Sequence[Any]) -> Together:
