@@ -101,13 +101,15 @@ def diameters(t: Trace) -> Array:
     return np.sqrt(t.sizes) if t.dim == 3 else t.sizes
 
 
-def overlap(slave: Trace, master: Trace, degree: int, sight: Array) -> tuple[np.ndarray, Array, Array]:
+def overlap(
+    slave: Trace, master: Trace, degree: int, sight: Array, *, facing: bool = True
+) -> tuple[np.ndarray, Array, Array]:
     """Pairs of facets that overlap (n, 2), and their blocks int psi_a phi_b of the slave and of the master (n, k_p, k).
 
     psi are the Lagrange functions of ``degree`` on the slave's facets; ``sight`` (m, for each of these) is the largest
-    distance of facets that see each other. Collective; sorted.
+    distance of facets that see each other, whose normals oppose each other (``facing``) or agree. Collective; sorted.
     """
-    pair, own, other, _, _ = _shared(slave, master, degree, (sight, -1.0))
+    pair, own, other, _, _ = _shared(slave, master, degree, (sight, -1.0 if facing else 1.0))
     return pair, own, other
 
 

@@ -32,9 +32,9 @@ from ...errors import InputError
 from ...rotations import Array
 from ..factors.factor import by_mumps
 from ..mesh.mesh import Mesh
-from .mortar import mortar, refined_coupling
+from .mortar import diameters, mortar, overlap, refined_coupling
 from .multipliers import Multipliers, MultiplierSpace, default_space
-from .traces import Trace, refined, trace_of
+from .traces import Trace, refined, scatter, trace_of
 
 ZERO = 1e-10  # relative size of an eigenvalue that counts as zero
 WEAK = 0.1  # inf-sup constants below this are reported
@@ -216,7 +216,7 @@ def infsup(
         clamped: names of surfaces where displacements are held (with ``reference`` only: there the norm of
         the multipliers
             knows of it; otherwise constants are underestimated, never overestimated).
-        reference: (finer mesh, degree) whose trace norm is dual to the multipliers' norm; None:
+        reference: (another, finer mesh, degree) whose trace norm is dual to the multipliers' norm; None:
         :class:`DualNorm`.
         carrier: (mesh, surface name) of another mesh on the same place that carries the multipliers.
     """
@@ -261,28 +261,11 @@ def smallest(values: Array) -> tuple[float, int]:
 
 
 def _nested(mu: Multipliers, fine: Trace) -> sp.csr_matrix:
-    """int mu_j w_i with a finer, nested mesh of the same surface; this rank's columns."""
-    t = mu.trace
-    m = t.dim - 1
-    from scipy.spatial import cKDTree
-
-    center = fine.corners.mean(1)
-    _, near = cKDTree(t.corners.mean(1)).query(center, k=min(6, len(t.nodes)))
-
-    parent = np.full(len(center), -1)
-    corners = np.zeros((len(center), m + 1, m))
-    for candidate in np.atleast_2d(near.T if near.ndim == 2 else near):
-        # coordinates of the fine facets' corners in the candidate's
-        e = np.swapaxes(t.corners[candidate][:, 1:] - t.corners[candidate][:, :1], 1, 2)
-        z = np.einsum("nmd,nkd->nkm", np.linalg.pinv(e), fine.corners - t.corners[candidate][:, :1])
-        inside = (z.min(axis=(1, 2)) > -1e-9) & (z.sum(2).max(1) < 1 + 1e-9) & (parent < 0)
-        parent[inside], corners[inside] = candidate[inside], z[inside]
-
-    if (parent < 0).any():
-        raise InputError(
-            f"{fine.label} is not a refinement of {t.label}: {int((parent < 0).sum())} facets lie in no facet."
-        )
-    return fine.columns(refined_coupling(mu, fine, parent, corners))
+    """int mu_j w_i with another mesh of the same surface; this rank's columns."""
+    pair, _, blocks = overlap(mu.trace, fine, mu.degree, 0.1 * diameters(mu.trace), facing=False)
+    k = blocks.shape[1]
+    rows, columns = pair[:, :1] * k + np.arange(k), fine.nodes[pair[:, 1]]
+    return fine.columns((mu.basis @ scatter(blocks, rows, columns, (mu.basis.shape[1], fine.n))).tocsr())
 
 
 def _on_surface(joint: Any) -> OnSurface:
