@@ -21,7 +21,7 @@ from ...errors import InputError
 from ...log import log
 from ...rotations import Array
 from .multipliers import Multipliers, MultiplierSpace
-from .traces import Trace, quadrature, reference_mass, scatter, shape_functions
+from .traces import Trace, quadrature, scatter, shape_functions
 
 TINY = 1e-12  # relative size of an intersection that is left out
 
@@ -277,15 +277,3 @@ def _clip(vertices: Array, count: np.ndarray, value: object) -> tuple[Array, np.
         s = (here[crossing] / (here[crossing] - there[crossing]))[:, None]
         push(crossing, (1 - s) * vertices[crossing, k] + s * vertices[crossing, following[crossing]])
     return out, made
-
-
-def refined_coupling(multipliers: Multipliers, fine: Trace, parent: np.ndarray, corners: Array) -> sp.csr_matrix:
-    """int mu_j w_i with the functions of a finer mesh of the same surface (:func:`.traces.refined`), (n, n_fine)."""
-    m, p = fine.dim - 1, multipliers.degree
-    q, w = quadrature(m, p + fine.order)
-    x = np.einsum("qa,nak->nqk", shape_functions(m, 1, q), corners)
-    test = shape_functions(m, p, x)
-    blocks = fine.sizes[:, None, None] * ((np.swapaxes(test, 1, 2) * w) @ fine.shape(q))
-    k = reference_mass(m, p, p).shape[0]
-    rows = parent[:, None] * k + np.arange(k)
-    return (multipliers.basis @ scatter(blocks, rows, fine.nodes, (multipliers.basis.shape[1], fine.n))).tocsr()

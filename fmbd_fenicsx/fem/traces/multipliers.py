@@ -291,7 +291,7 @@ def _nodes(trace: Trace, degree: int) -> tuple[np.ndarray, int, np.ndarray, Arra
     """Node numbers of the continuous space of a degree on the trace's facets, their count, border nodes, points."""
     if degree == trace.degree and not trace.halved:
         return trace.nodes, trace.n, trace.border, trace.points
-    other, _, _ = refined(trace, 0, degree)
+    other = refined(trace, 0, degree)
     return other.nodes, other.n, other.border, other.points
 
 

@@ -32,7 +32,7 @@ from ...errors import InputError
 from ...rotations import Array
 from ..factors.factor import by_mumps
 from ..mesh.mesh import Mesh
-from .mortar import diameters, mortar, overlap, refined_coupling
+from .mortar import diameters, mortar, overlap
 from .multipliers import Multipliers, MultiplierSpace, default_space
 from .traces import Trace, refined, scatter, trace_of
 
@@ -88,11 +88,11 @@ def half_norm(trace: Trace, values: Array, *, length: float = 1.0, order: float 
 
 
 class DualNorm:
-    """The discrete H^-1/2 norm of multipliers: dual to H^1/2 on a P2 space of a ``times`` halved surface mesh."""
+    """The discrete H^-1/2 norm of multipliers: dual to H^1/2 on a P2 space of a ``times`` halved surface mesh; collective to build."""
 
     def __init__(self, multipliers: Multipliers, *, times: int = 1, length: float = 1.0) -> None:
-        self._fine, parent, corners = refined(multipliers.trace, times, 2)
-        C = refined_coupling(multipliers, self._fine, parent, corners)
+        self._fine = refined(multipliers.trace, times, 2)
+        C = _coupling(multipliers, self._fine)
         # dual to the norm by L^1/2 on these modes
         _, L, self._modes = pencil(self._fine, length)
         self._c = C @ self._modes  # <mu_j, x_k>
@@ -247,7 +247,8 @@ def infsup(
     else:
         fine_mesh, fine_degree = reference
         fine = BodyNorm(fine_mesh, fine_degree, clamped=clamped, length=length)
-        N = fine.product(_nested(mu, trace_of(fine.space, fine_mesh, name)))
+        finer = trace_of(fine.space, fine_mesh, name)
+        N = fine.product(finer.columns(_coupling(mu, finer)))
         fine.destroy()
 
     beta, zero = smallest(sl.eigh(S, N, eigvals_only=True))
@@ -260,12 +261,12 @@ def smallest(values: Array) -> tuple[float, int]:
     return (float(np.sqrt(values[~zero].min())) if (~zero).any() else 0.0), int(zero.sum())
 
 
-def _nested(mu: Multipliers, fine: Trace) -> sp.csr_matrix:
-    """int mu_j w_i with another mesh of the same surface; this rank's columns."""
+def _coupling(mu: Multipliers, fine: Trace) -> sp.csr_matrix:
+    """int mu_j w_i with another mesh of the same surface, (n, nodes)."""
     pair, _, blocks = overlap(mu.trace, fine, mu.degree, 0.1 * diameters(mu.trace), facing=False)
     k = blocks.shape[1]
     rows, columns = pair[:, :1] * k + np.arange(k), fine.nodes[pair[:, 1]]
-    return fine.columns((mu.basis @ scatter(blocks, rows, columns, (mu.basis.shape[1], fine.n))).tocsr())
+    return (mu.basis @ scatter(blocks, rows, columns, (mu.basis.shape[1], fine.n))).tocsr()
 
 
 def _on_surface(joint: Any) -> OnSurface:

@@ -355,20 +355,13 @@ def _reference_order(x: Array, degree: int, halved: bool) -> np.ndarray:
     return np.asarray(order)
 
 
-def refined(trace: Trace, times: int, degree: int) -> tuple[Trace, np.ndarray, Array]:
-    """The surface cut into finer facets with Lagrange nodes of the given degree, for norms.
-
-    Returns the finer trace (it owns no nodes of the body), the parent facet of each of its facets (n,), and the
-    corners in the parent's reference coordinates (n, d, d-1).
-    """
+def refined(trace: Trace, times: int, degree: int) -> Trace:
+    """The surface cut into finer facets with Lagrange nodes of the given degree, for norms: it owns no nodes of the body."""
     m = trace.dim - 1
     pieces = np.concatenate((np.zeros((1, m)), np.eye(m)))[None]
     for _ in range(times):
         pieces = np.concatenate([cut(pieces) for cut in _halves(m)])
 
-    n_f, n_p = len(trace.nodes), len(pieces)
-    parent = np.repeat(np.arange(n_f), n_p)
-    corners = np.tile(pieces, (n_f, 1, 1))
     x = np.einsum("pva,fad->fpvd", shape_functions(m, 1, pieces), trace.corners).reshape(-1, trace.dim, trace.dim)
     nodes = np.einsum("ka,fad->fkd", shape_functions(m, 1, np.asarray(lagrange(m, degree).points)), x)
 
@@ -378,9 +371,8 @@ def refined(trace: Trace, times: int, degree: int) -> tuple[Trace, np.ndarray, A
     _, first, inverse = np.unique(key, axis=0, return_index=True, return_inverse=True)
     none = np.full(len(first), -1)
     number = inverse.reshape(nodes.shape[:2])
-    fine = Trace(trace.label, flat[first], number, trace.normals[parent], degree, none, 0, trace.comm)
-
-    return fine, parent, corners
+    normals = np.repeat(trace.normals, len(pieces), axis=0)
+    return Trace(trace.label, flat[first], number, normals, degree, none, 0, trace.comm)
 
 
 def _halves(m: int) -> list[Callable[[Array], Array]]:
