@@ -88,7 +88,7 @@ def half_norm(trace: Trace, values: Array, *, length: float = 1.0, order: float 
 
 
 class DualNorm:
-    """The discrete H^-1/2 norm of multipliers: dual to H^1/2 on a P2 space of a ``times`` halved surface mesh; collective to build."""
+    """The discrete H^-1/2 norm of multipliers: dual to H^1/2 on a P2 space of a ``times`` halved surface; collective to build."""
 
     def __init__(self, multipliers: Multipliers, *, times: int = 1, length: float = 1.0) -> None:
         self._fine = refined(multipliers.trace, times, 2)
