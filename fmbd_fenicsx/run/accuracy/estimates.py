@@ -31,6 +31,7 @@ from .companion_runs import UNFIT, Compared, as_recorded, companion
 from .deviation import Deviation, at_least, scaled
 from .equal_steps import equal_steps_error
 from .jumps_in_time import jumps_about_kinks
+from .larger_steps import beyond_by_halves
 from .orders import expected_orders, seen_by_ends
 from .search.space_levels import finer_scene, space_deviations, unended
 
@@ -118,9 +119,11 @@ def beyond_by_tolerance(
     Collective. Raises one of :data:`.UNFIT` where it does not end.
     """
     coarse, rtol = given.recorder, problem.scheme.rtol
+    orders = expected_orders(problem.scheme, problem.scene, problem.system)
+    if whole is None and (halves := beyond_by_halves(problem, given)):
+        return halves, {n: 0.5**p for n, p in orders.items()}
     few = smooth and _lands_at(problem, coarse) and coarse.indices[-1] >= MANY
     share, every = (THIRD, 2) if few else (TENTH, 1)
-    orders = expected_orders(problem.scheme, problem.scene, problem.system)
     for _ in range(DECADES):
         rtol = max(share * rtol, FINEST)
         made = None if whole is None else whole(rtol)

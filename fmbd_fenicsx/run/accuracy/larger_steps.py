@@ -48,13 +48,18 @@ def may_be_larger(problem: Problem, given: Compared, counters: Mapping[str, floa
     unseen = (few or changes) and SLOW * order > MOST_LEFT
     if refused > counters.get("rejected: error estimate", 0.0) or (refused and unseen) or (few and changes):
         return False
-    output, scene = given.recorder.output, problem.scene
-    at_ends = problem.said.takes_given and output.times is None and output.every == 1
-    if not at_ends or scene.contacts or scene.limits or seen_by_ends(problem.system):
+    scene = problem.scene
+    if not _known_steps(problem, given) or scene.contacts or scene.limits or seen_by_ends(problem.system):
         return False
     sizes = [np.diff(t) for t in _stretches(given)]
     smooth = all((h[1:-1] > SUDDEN * h[:-2]).all() for h in sizes)  # the last one ends where it has to
     return smooth and sum(map(len, sizes)) >= 2 * FEWEST
+
+
+def _known_steps(problem: Problem, given: Compared) -> bool:
+    """Whether the steps of a run are known, from its records at their ends, and its scheme takes others that it is given."""
+    output = given.recorder.output
+    return problem.said.takes_given and output.times is None and output.every == 1
 
 
 def _stretches(given: Compared) -> list[Array]:
@@ -81,14 +86,35 @@ def in_one(given: Compared, count: int) -> StepSchedule:
 
 def with_larger_steps(problem: Problem, given: Compared, count: int) -> Compared | None:
     """The run once more with so many steps in one; None where it does not end, or had to take others; collective."""
-    schedule = in_one(given, count)
+    return _with_steps(problem, given, in_one(given, count), 1)
+
+
+def _with_steps(problem: Problem, given: Compared, schedule: StepSchedule, every: int) -> Compared | None:
+    """The same with the steps of a schedule, recorded at the ends of so many of them."""
     try:
-        made = companion(problem, schedule, Output(energy=False, progress=False))
+        made = companion(problem, schedule, Output(every=every, energy=False, progress=False))
     except UNFIT as error:
-        log.info("the run with %d steps in one did not end: %s", count, error)
+        log.info("the run with steps like those of another one did not end: %s", error)
         return None
-    larger = Compared(made.recorder, schedule, given.scheme)
-    return None if _other_steps(larger) else larger
+    other = Compared(made.recorder, schedule, given.scheme)
+    return None if _other_steps(other) else other
+
+
+def beyond_by_halves(problem: Problem, given: Compared) -> dict[str, Deviation]:
+    """What a run with halves of the steps of a ``given`` one has beyond it, as far as its scheme is of second order at most:
+    tolerances that ask for as many steps of it share some with those, and drift with the pattern in which sizes change. Empty
+    where that is no way to tell its error; collective.
+    """
+    if problem.scheme.order > 2 or not _known_steps(problem, given):
+        return {}
+    schedule = given.schedule
+    ends = set(schedule.marks) - set(schedule.stops)
+    for t in _stretches(given):
+        ends.update(t[1:-1].tolist(), (0.5 * (t[1:] + t[:-1])).tolist())
+    finer = _with_steps(problem, given, replace(schedule, marks=tuple(sorted(ends)), given=True), 2)
+    if finer is None or len(finer.recorder.times) != len(given.recorder.times):
+        return {}
+    return {n: Deviation(given.recorder.times, x - given.recorder.series[n]) for n, x in finer.recorder.series.items()}
 
 
 def two_in_one(solved: Solved) -> Compared | None:

@@ -35,7 +35,7 @@ class CompiledControl:
         harsh, mild = REFUSED
         self.sizes = OwnSteps(
             order=control.order, safety=control.safety, shrink=control.shrink, grow=control.grow, least=LEAST_ERROR,
-            harsh=harsh, mild=mild, patience=PATIENCE,
+            harsh=harsh, mild=mild, patience=PATIENCE, given=control.given,
         )  # fmt: skip
         # elastic fields have factors of few sizes, and of rows of a user's own roundoff is unknown
         self.resizes = not system.fields and bool(system.in_lengths.all())
@@ -55,7 +55,7 @@ class CompiledControl:
         self.c = structure("Control", dim)(
             rtol=norm.rtol, atol=norm.atol or 0.0, length=s.length, least=norm.least, turn=TURN, fading=FADING,
             frames=system.n_frames, core=system.n_core, laws=laws, drags=drags, bends=bends,
-            timed=bool(system.prescribes or system.pushes_in_time), calm=CALM,
+            timed=not control.given and bool(system.prescribes or system.pushes_in_time), calm=CALM,
             own=ctypes.addressof(self.sizes),
             deforming=len(norm.deforming), deflection=self.store.structure(self.deflections),
             coordinates=len(places), coordinate=self.store.array(places, np.int32)[1],

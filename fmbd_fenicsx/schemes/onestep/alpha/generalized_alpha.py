@@ -73,6 +73,7 @@ class GeneralizedAlpha:
     order = 2
     looks_ahead = True  # :mod:`.look_ahead`
     carries_accelerations = True
+    takes_given = True
 
     @property
     def forgets(self) -> bool:

@@ -36,6 +36,7 @@ error); Shampine and Baca, doi:10.1145/357456.357462 (filters).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -45,6 +46,7 @@ import numpy as np
 from ....errors import ConvergenceError, LinearSolveError
 from ....linear.blocks.field_blocks import Weights
 from ....linear.condensation import StepSolver
+from ....rotations import Array
 from ....system.compiled.declarations import constants
 from ....system.element_memory import whole_steps
 from ....system.evaluation import Evaluation
@@ -60,7 +62,7 @@ from .look_ahead import LookAhead
 from .quiet_times import CALM, QuietTimes
 from .resized_steps import ResizedSteps
 from .size_change import SizeChange
-from .stretch import Stretch, parts
+from .stretch import SAME, Stretch, parts
 
 if TYPE_CHECKING:
     from ....system.compiled.kept import KeptSteps
@@ -108,6 +110,7 @@ class VariableAlpha(TimeStepper):
         self.local_error = self.error = 0.0  # the largest since :meth:`advance`, and that of the newest step
         self.peak = 0.0  # the largest error of late
         self._compiled: CompiledControl | None = None
+        self._given = np.zeros(0)  # where steps that are given end, s
 
         self.proposed: float | None = None
         self._seen: tuple[State, Evaluation] | None = None
@@ -171,6 +174,20 @@ class VariableAlpha(TimeStepper):
         """As :meth:`TimeStepper.within`."""
         return self.inner.within(steps)  # type: ignore[no-any-return]
 
+    def take_given(self, sizes: Array) -> None:
+        """As :meth:`.OwnMarch.take_given`: each of these steps is a stretch of its own."""
+        self.control.given = self.passes_marks = True
+
+    def bound(self, longest: float, ends: Sequence[float], last: float = np.inf) -> None:
+        """As :meth:`TimeStepper.bound`; given steps go on up to where their size changes."""
+        if self.control.given:
+            self._given = np.array((self.state.t, *ends))
+            sizes = np.diff(self._given)
+            alike = int(np.argmin(np.append(np.abs(sizes - sizes[0]) <= SAME * sizes[0], False)))
+            ends = (ends[alike - 1],)
+            longest = (ends[0] - self.state.t) / alike
+        super().bound(longest, ends, last)
+
     # -- one accepted step --------------------------------------------------------------------------------------------
     def advance(self, h: float) -> State:
         """One accepted step of at most h (s), which is hit exactly at the end of the stretch; collective.
@@ -178,6 +195,8 @@ class VariableAlpha(TimeStepper):
         Raises ConvergenceError when steps would have to be too small.
         """
         s = self.state
+        if self.control.given:
+            self.stretch.forget()
         self.stretch.follow(s.t, h)
         self.control.span = max(self.control.span, h)
         if self.proposed is None:
@@ -186,7 +205,7 @@ class VariableAlpha(TimeStepper):
             self.proposed = first_step(self.norm, s, 3.0, h)
 
         while True:
-            level = self._chosen(self.proposed)
+            level = self._chosen(self.control.proposal(self.proposed, h))
             h = self.stretch.size(level)
             error, cause = self._attempt(h, level)
             if error <= 1.0:
@@ -213,7 +232,7 @@ class VariableAlpha(TimeStepper):
                 self.stretch.lose(h, s.t)
                 continue
             self.solver.near_singular.begin_trial()
-            if self.quiet.holds(s.t, h, self.peak):
+            if self.control.given or self.quiet.holds(s.t, h, self.peak):
                 return level
 
             farthest = self.look.farthest(s, h)
@@ -258,10 +277,11 @@ class VariableAlpha(TimeStepper):
     def _next_level(self, h: float) -> int | None:
         """The parts of the stretch that these steps are; None where there are none."""
         s = self.state
-        self.stretch.follow(s.t, h)
+        self.stretch.follow(s.t, min(h, self.longest))
         if self.proposed is None or self.resized.size is None or not (self._marches and self.inner.is_driven):
             return None
-        level = self.stretch.coarsest(min(self.proposed, turn_limit(self.system, s)), s.t)
+        proposed = self.control.proposal(self.proposed, h)
+        level = self.stretch.coarsest(min(proposed, turn_limit(self.system, s)), s.t)
         return level if whole_steps(self.system, s.t, self.stretch.size(level)) > 0 else None
 
     @property
@@ -276,7 +296,7 @@ class VariableAlpha(TimeStepper):
         if self._next_level(h) is None:
             return 0
         assert self.proposed is not None
-        level = self._chosen(self.proposed)
+        level = self._chosen(self.control.proposal(self.proposed, h))
         size = self.stretch.size(level)
         steps = int(min(steps, whole_steps(self.system, self.state.t, size)))
         if steps <= 0:
@@ -297,6 +317,8 @@ class VariableAlpha(TimeStepper):
         c.proposed, c.size, c.error, c.peak = self.proposed, self.resized.size, self.error, self.peak
         made: int = self.inner.controlled(size, steps, control, observers)
         control.take(self.stretch, self.state.t)
+        if self.control.given:  # sums of many steps are off by their roundoff
+            self.resized.arrive(float(self._given[np.abs(self._given - self.state.t).argmin()]))
         self.proposed, self.resized.size, self.error, self.peak = c.proposed, c.size, c.error, c.peak
         self.local_error = max(self.local_error, c.largest)
         self.stats.steps += made
@@ -343,7 +365,7 @@ class VariableAlpha(TimeStepper):
         kept, largest = self.resized.held, self.norm.largest
         try:
             self.resized.step(h)
-            error, cause = self._error(h), ESTIMATE
+            error, cause = 0.0 if self.control.given else self._error(h), ESTIMATE
             self.resized.arrive(self.stretch.time(self.stretch.done + Fraction(1, parts(level))))
         except LinearSolveError as failure:
             error, cause = np.inf, self._losing(h, failure)

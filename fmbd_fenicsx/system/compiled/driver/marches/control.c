@@ -152,8 +152,9 @@ static int judged(System *s, const double *p, Control *c, const Block *past, con
         error = error_norm(s, c, out->q, c->e, 0.0);
     }
     if (error <= 1.0 && c->laws && p[HISTORY] >= 1.0 && (verdict = with_speeds(s, p, c, past, out, &error))) return verdict;
+    const Passing found = {.error = error};
     c->trial = error;
-    if (!(error <= 1.0)) return SIZE;
+    if (!lets_pass(c->own, &found)) return SIZE;
 
     c->error = error;
     c->largest = fmax(c->largest, error);
@@ -274,7 +275,7 @@ static int change_size(System *s, double *p, Control *c, const Block *now, doubl
 /* Prepare the next step, as long as is proposed; SIZE where Python has to. */
 static int next_size(System *s, double *p, Control *c, const Block *now)
 {
-    const double wanted = fmin(c->proposed, farthest_turn((int)c->frames, c->turn, 1.0, now));
+    const double wanted = fmin(proposal(c->own, c->proposed), farthest_turn((int)c->frames, c->turn, 1.0, now));
     if (*now->t > c->last) return SIZE;
     if (c->place == c->count) { /* the next stretch is as long */
         if (c->more <= 0) return SIZE;
