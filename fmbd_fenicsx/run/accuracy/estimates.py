@@ -77,10 +77,14 @@ def tolerance_error(
     all where memories go by rules of their own, have lower ones than the steps are chosen by. k counts as f^0.7 at least:
     errors like r^(2/3) fall to 0.22 of their size with f = 1/10. Where steps come in a few sizes only, two tolerances may share
     one, and agree: s falls on then. Of ``smooth`` motion f = 1/3 is enough for many steps, of which the second run lands at every
-    second end, so that n_s / n_r is 3/2 at least; what kinks leave is chance, and comes near in both runs.
+    second end, so that n_s / n_r is 3/2 at least; what kinks leave is chance, and comes near in both runs. Where halves of the
+    steps tell the error (:func:`.larger_steps.beyond_by_halves`) k = 2^-p.
     """
     try:
         given = Compared(coarse, schedule, problem.scheme)
+        if apart := beyond_by_halves(problem, given):
+            orders = expected_orders(problem.scheme, problem.scene, problem.system)
+            return {n: scaled(x, 1.0 / (1.0 - 0.5 ** orders[n])) for n, x in apart.items()}
         apart, left = beyond_by_tolerance(problem, given, instants, smooth=smooth, whole=whole)
     except UNFIT as error:
         log.warning("no error estimate: the run with a smaller tolerance did not end: %s", error)
@@ -119,11 +123,9 @@ def beyond_by_tolerance(
     Collective. Raises one of :data:`.UNFIT` where it does not end.
     """
     coarse, rtol = given.recorder, problem.scheme.rtol
-    orders = expected_orders(problem.scheme, problem.scene, problem.system)
-    if whole is None and (halves := beyond_by_halves(problem, given)):
-        return halves, {n: 0.5**p for n, p in orders.items()}
     few = smooth and _lands_at(problem, coarse) and coarse.indices[-1] >= MANY
     share, every = (THIRD, 2) if few else (TENTH, 1)
+    orders = expected_orders(problem.scheme, problem.scene, problem.system)
     for _ in range(DECADES):
         rtol = max(share * rtol, FINEST)
         made = None if whole is None else whole(rtol)
