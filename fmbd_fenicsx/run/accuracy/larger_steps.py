@@ -105,7 +105,7 @@ def beyond_by_halves(problem: Problem, given: Compared) -> dict[str, Deviation]:
     tolerances that ask for as many steps of it share some with those, and drift with the pattern in which sizes change. Empty
     where that is no way to tell its error; collective.
     """
-    if problem.scheme.order > 2 or not _known_steps(problem, given):
+    if problem.scheme.order > 2 or not _known_steps(problem, given) or seen_by_ends(problem.system):
         return {}
     schedule = given.schedule
     ends = set(schedule.marks) - set(schedule.stops)
