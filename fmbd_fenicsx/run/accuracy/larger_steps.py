@@ -110,7 +110,7 @@ def beyond_by_halves(problem: Problem, given: Compared) -> dict[str, Deviation]:
     schedule = given.schedule
     ends = set(schedule.marks) - set(schedule.stops)
     for t in _stretches(given):
-        ends.update(t[1:-1].tolist(), (0.5 * (t[1:] + t[:-1])).tolist())
+        ends.update(map(float, t[1:-1]), map(float, 0.5 * (t[1:] + t[:-1])))
     finer = _with_steps(problem, given, replace(schedule, marks=tuple(sorted(ends)), given=True), 2)
     if finer is None or len(finer.recorder.times) != len(given.recorder.times):
         return {}

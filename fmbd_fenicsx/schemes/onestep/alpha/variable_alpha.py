@@ -110,7 +110,7 @@ class VariableAlpha(TimeStepper):
         self.local_error = self.error = 0.0  # the largest since :meth:`advance`, and that of the newest step
         self.peak = 0.0  # the largest error of late
         self._compiled: CompiledControl | None = None
-        self._given = np.zeros(0)  # where steps that are given end, s
+        self._given: Array = np.zeros(0)  # where steps that are given end, s
 
         self.proposed: float | None = None
         self._seen: tuple[State, Evaluation] | None = None
