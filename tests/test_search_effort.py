@@ -215,6 +215,21 @@ def test_runs_of_rigid_bodies_begin_with_steps_that_cost_no_more_than_set_up() -
     assert tolerance._first(scene, None, case.t_end, None).steps == 100  # steps that ask Python cost
 
 
+def test_instants_that_two_runs_have_are_found_once_for_all_sensors(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where series of two runs tell something of one another is the same for each: for every sensor it took as long again."""
+    asked, counts, beyond = [], [], equal_steps.BeyondLarger
+    monkeypatch.setattr(equal_steps, "BeyondLarger", lambda *given: (asked.append(given), beyond(*given))[1])
+    case = MORE["four bar"]
+    for sensors in ((), ("pin 0", "pin 1", "pin 2")):
+        scene = case.scene()
+        for name in sensors:
+            scene.sensor(name, fmbd.reaction(name))
+        asked.clear()
+        fmbd.solve(scene, t_end=case.t_end, tol=case.tol(5e-4), output=fmbd.Output(progress=False))
+        counts.append([len(t) for t, *_ in asked])
+    assert counts[0] == counts[1] != []
+
+
 def test_loads_are_asked_once_at_a_time() -> None:
     """Ends of steps, between which jumps are looked for, are among the instants at which loads that come are."""
     asked: list[float] = []

@@ -112,30 +112,39 @@ def added_up(found: Iterable[Deviation]) -> float:
     return max(seen, TRUSTED * sum(d.size for d in found))
 
 
-def between_ends(t: Array, x: Array, times: Array, y: Array, common: Deviation) -> Deviation:
-    """What a series ``x`` (n, size) at ``t`` (s) has beyond ``y`` at ``times`` with larger steps: ``common`` where both are
-    known, and more instants of ``y`` where few are common: a narrow peak lies between.
+class BeyondLarger:
+    """What series (n, size) at ``t`` (s) have beyond those at ``times`` with larger steps: where both are known, and at more of
+    the ``times`` where few are common: a narrow peak lies between.
 
-    There x is on the cubic through four values, and counts as known to what a parabola through three of them differs by: where
-    that is more, as about kinks and jumps, nothing is told.
+    There the finer one is on the cubic through four values, and counts as known to what a parabola through three of them differs
+    by: where that is more, as about kinks and jumps, nothing is told. When and by which weights is the same for all series.
     """
-    if len(t) < CUBIC * len(common.times):
-        return common
-    other = np.setdiff1d(np.arange(len(times)), np.searchsorted(times, common.times - 1e-9 * times[-1]))
-    if not len(other):
-        return common
-    first = np.clip(np.searchsorted(t, times[other]) - 2, 0, len(t) - 4)
-    s, at = t[first[:, None] + np.arange(4)], times[other]
-    flat = x.reshape(len(t), -1)
 
-    def on(points: int) -> Array:
-        """Lagrange's polynomial through the first so many points."""
-        values = flat[first[:, None] + np.arange(points)]
-        return np.asarray(np.einsum("ij,ijk->ik", lagrange_values(s[:, :points], at), values))
+    def __init__(self, t: Array, times: Array, t_end: float) -> None:
+        rounding = 1e-9 * t_end
+        rows = np.searchsorted(times, t - rounding).clip(max=len(times) - 1)
+        (self._common,) = np.nonzero(np.abs(times[rows] - t) <= rounding)
+        self._rows, common = rows[self._common], t[self._common]
+        told = np.zeros(len(times), dtype=bool)
+        told[self._rows] = True
+        (self._other,) = np.nonzero(~told & (len(t) >= CUBIC * len(common)))
+        at = times[self._other]
+        self._first = np.clip(np.searchsorted(t, at) - 2, 0, max(len(t) - 4, 0))
+        s = t[self._first[:, None] + np.arange(4)] if len(at) else np.zeros((0, 4))
+        self._weights = [lagrange_values(s[:, :points], at) for points in (4, 3)]
+        every = np.concatenate((common, at))
+        self._order = np.argsort(every, kind="stable")
+        self._times = every[self._order]
 
-    cubic = on(4)
-    apart = cubic - y.reshape(len(times), -1)[other]
-    told = np.sign(apart) * np.maximum(np.abs(apart) - np.abs(cubic - on(3)), 0.0)
-    rows = np.argsort(np.concatenate((common.times, at)), kind="stable")
-    values = np.concatenate((common.values, told.reshape(-1, *x.shape[1:])))
-    return Deviation(np.concatenate((common.times, at))[rows], values[rows])
+    def of(self, x: Array, y: Array) -> Deviation:
+        """Of a series, and the same with larger steps."""
+        apart = x[self._common] - y[self._rows]
+        if not len(self._other):
+            return Deviation(self._times, apart)
+        flat = x.reshape(len(x), -1)
+        cubic, parabola = (
+            np.einsum("ij,ijk->ik", w, flat[self._first[:, None] + np.arange(w.shape[1])]) for w in self._weights
+        )
+        between = cubic - y.reshape(len(y), -1)[self._other]
+        told = np.sign(between) * np.maximum(np.abs(between) - np.abs(cubic - parabola), 0.0)
+        return Deviation(self._times, np.concatenate((apart, told.reshape(-1, *x.shape[1:])))[self._order])

@@ -15,7 +15,7 @@ from ..recording.recorder import Recorder
 from ..schedule import StepSchedule, step_schedule
 from .certificate import moving
 from .companion_runs import UNFIT, Compared, StoppedError, again, companion
-from .deviation import Deviation, alignment, at_least, between_ends, scaled
+from .deviation import BeyondLarger, Deviation, alignment, at_least, scaled
 from .jumps_in_time import with_break_points
 from .orders import (
     REGULAR,
@@ -162,7 +162,7 @@ def _left_by(
     orders = {n: min(p, 2.0) for n, p in expected.items()}
     lower = {n: max(seen[n], 1.0) for n, p in orders.items() if SEEN <= seen[n] < SEEN * p}
     factors = {n: 1.0 / (1.0 - 2.0**-p) for n, p in {**orders, **lower}.items()}
-    return {n: scaled(_deviation(finer, given.recorder, n), x) for n, x in factors.items()}
+    return {n: scaled(x, factors[n]) for n, x in between(finer, given.recorder, factors).items()}
 
 
 def jump_errors(problem: Problem, given: Compared, jumps: Sequence[float]) -> TimeError | None:
@@ -240,12 +240,13 @@ def compare_steps(
     ratio = given.steps / coarser[0].steps
     errors, orders, by_chance = {}, {}, set()
     beyond = between(fine, coarse, fine.series)
+    farther = between(coarse, coarser[1].recorder, fine.series) if len(coarser) > 1 else {}
 
     for name, apart in beyond.items():
         p = float("nan") if known is None else known.get(name, float("nan"))
         if len(coarser) > 1 and apart.size > 0:
             steps = coarser[1].steps, coarser[0].steps, given.steps
-            far = _deviation(coarse, coarser[1].recorder, name)
+            far = farther[name]
             here = far.near(apart.when, max(NEARBY * fine.t_end, 2.0 * fine.t_end / steps[0]))
             ratios = far.size / apart.size, far.mean / apart.mean, here / apart.size
             p = min(order_seen(*steps, x) for x in ratios)
@@ -270,7 +271,7 @@ def of_order(
     """Errors of a run as one with larger steps tells them, by a ``share`` of the expected orders, one at least if need be."""
     ratio = given.steps / coarser.steps
     factors = {n: 1.0 / (ratio ** max(share * p, least) - 1.0) for n, p in expected.items()}
-    return {n: scaled(_deviation(given.recorder, coarser.recorder, n), x) for n, x in factors.items()}
+    return {n: scaled(x, factors[n]) for n, x in between(given.recorder, coarser.recorder, factors).items()}
 
 
 def falling_slowly(
@@ -303,20 +304,9 @@ def equal_steps_error(problem: Problem, made: Compared, jumps: Sequence[float], 
 
 
 def between(fine: Recorder, coarse: Recorder, sensors: Iterable[str]) -> dict[str, Deviation]:
-    """Some sensors of a run less those of one with larger steps, at the instants that both have."""
-    return {name: _deviation(fine, coarse, name) for name in sensors}
-
-
-def _deviation(fine: Recorder, coarse: Recorder, name: str) -> Deviation:
-    """A series less one recorded with larger steps, at the instants that both have, and at those between that tell more, see
-    :func:`.deviation.between_ends`.
-    """
-    x, y = fine.series[name], coarse.series[name]
-    t, rounding = fine.times, 1e-9 * fine.t_end
-    rows = np.searchsorted(coarse.times, t - rounding).clip(max=len(coarse.times) - 1)
-    common = np.abs(coarse.times[rows] - t) <= rounding
-    apart = Deviation(t[common], x[common] - y[rows[common]])
-    return between_ends(t, x, coarse.times, y, apart)
+    """Some sensors of a run less those of one with larger steps, see :class:`.BeyondLarger`."""
+    beyond = BeyondLarger(fine.times, coarse.times, fine.t_end)
+    return {name: beyond.of(fine.series[name], coarse.series[name]) for name in sensors}
 
 
 def astray(given: Compared, apart: Mapping[str, Deviation], share: float = ASTRAY) -> list[str]:
