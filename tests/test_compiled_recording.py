@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from profiled import calls_of
 from test_compiled import chain as links
 
 import fmbd_fenicsx as fmbd
@@ -25,6 +26,14 @@ class Momentum(Sensor):
     def read(self, ev: Evaluation, state: State, marker: int) -> Array:
         """Momentum of all bodies."""
         return ev.momenta()[0]
+
+
+class Stored(Sensor):
+    """What forces store, by a state."""
+
+    def read(self, ev: Evaluation, state: State, marker: int) -> Array:
+        """J."""
+        return np.array([ev.energies()["springs"]])
 
 
 def chain(dim: int, element: Callable[..., Any]) -> fmbd.Scene:
@@ -431,3 +440,29 @@ def test_snapshots_are_not_late_behind_longer_steps(scheme: Any) -> None:
     instants = np.linspace(0.0, 2.0, 8)
     first = runs[0].times[np.searchsorted(runs[0].times, instants - 1e-9)]
     assert [s.t for s in runs[1].snapshots] == pytest.approx(list(first))
+
+
+def test_tyres_tell_their_energy_of_the_markers_in_records() -> None:
+    """No state is evaluated as a whole for it; and their roads are asked where wheels are."""
+    places: list[float] = []
+
+    def road(x: Any, t: Any) -> Any:
+        places.append(float(np.real(x[0])))
+        return -0.01 * np.sin(4.0 * x[0])
+
+    def run(every: int, end: float, look: bool = False) -> fmbd.Run:
+        scene = fmbd.Scene("two wheels", gravity=(0.0, -9.81))
+        for k in (1.0, 2.0):
+            wheel = fmbd.RigidBody(f"wheel {k:g}", 20.0, 0.5, (k, 0.25), velocity=(3.0, 0.0))
+            scene.add(wheel, fmbd.Tyre(f"tyre {k:g}", wheel, None, (k, 0.25), None, road, 0.26, 2e5, 300.0, (0.0, 1.0)))
+        scene.sensor("wheel", fmbd.position(wheel))
+        if look:
+            scene.sensor("stored", Stored(wheel, "J"))
+        return fmbd.solve(scene, t_end=end, dt=1e-3, output=fmbd.Output(every=every, progress=False))
+
+    seen = run(1, 0.1, look=True)
+    np.testing.assert_array_equal(run(1, 0.1).energy["springs"], seen["stored"][:, 0])
+    assert seen["stored"].max() > 1.0 and min(places) > 0.99
+
+    calls = [calls_of(lambda every=every, end=end: run(every, end)) for every in (1, 1000) for end in (0.1, 0.2)]
+    assert calls[1] - calls[0] < calls[3] - calls[2] + 100 * 30  # 53 where states were evaluated

@@ -143,10 +143,9 @@ class Recorder:
         """Sensors and energies of records, but for those that are ``there``."""
         # what compiled code knows is read for all records at once
         alone = self._take_sensors(seen, there)
-        unknown = self.output.energy and not seen.looks.energies_known
-        if alone or unknown:
-            self._one_by_one(seen, alone, unknown)
-        if self.output.energy and not unknown and not (there and self.straight.single):
+        if alone:
+            self._one_by_one(seen, alone)
+        if self.output.energy and not (there and self.straight.single):
             for name, values in seen.energies().items():
                 if ("energy", name) not in there:
                     self.energies.setdefault(name, Records()).append(values)
@@ -163,15 +162,13 @@ class Recorder:
                 self.values[name].append(sensor.series(seen, self.markers[name]))
         return alone
 
-    def _one_by_one(self, seen: Recorded, sensors: list[tuple[str, Any]], energy: bool) -> None:
+    def _one_by_one(self, seen: Recorded, sensors: list[tuple[str, Any]]) -> None:
         """What only a state of its own can tell, of all records."""
         for i in range(len(seen)):
             s = seen.state(i)
             ev = seen.evaluation(s, i)
             for name, sensor in sensors:
                 self.values[name].append(sensor.read(ev, s, self.markers[name])[None])
-            for name, value in ev.energies().items() if energy else ():
-                self.energies.setdefault(name, Records()).append(np.array([value]))
 
     def quiet(self, n: int, t: float, h: float, *, through: bool = False) -> int:
         """Steps of size h (s) after step n, at time t, up to the next that is recorded, it included; or all before one that

@@ -48,8 +48,8 @@ class Straight:
         for name, sensor in r.scene.sensors.items():
             if id(sensor) in seen.looks.of:
                 out["sensor", name] = sensor.numbers(seen, r.markers[name])
-        if r.output.energy and seen.looks.energies_known:
-            out |= {("energy", kind): (x, 1.0) for kind, x in seen.energies().items()}
+        if r.output.energy:
+            out |= {("energy", kind): (x, 1.0) for kind, x in seen.written.items()}
         self._count = len(out)
         return out
 

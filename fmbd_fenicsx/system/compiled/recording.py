@@ -8,6 +8,7 @@ from the states one by one; what it asks for most, the motion of markers, the dr
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,7 +18,7 @@ import numpy as np
 
 from ...mechanics.forces.effort_laws import EffortLaw
 from ...mechanics.forces.force_elements import Loads, ScalarLoads, TimeLoads
-from ...mechanics.frames import SeenKinematics
+from ...mechanics.frames import Kinematics, SeenKinematics
 from ...mechanics.joints.relative import RelativeCoordinates
 from ...mechanics.kinds.frames import FRAME
 from ...rotations import Array
@@ -96,16 +97,17 @@ class Looks:
             if look is not None and readable(system, look):
                 self.of[id(sensor)] = look
 
-        self.complete = len(self.of) == len(system.sensed) and self.energies_known  # no state is read on its own
+        self.complete = len(self.of) == len(system.sensed)  # no state is read on its own
+        every_marker = not self.complete or bool(self.shown)
         looks = self.of.values()
 
         # markers in the same place are seen once; who reads a state on its own may look at any
         every = range(len(system.markers.frame))
         asked = {look.marker for look in looks if look.marker >= 0}
-        self.alike = first_alike(system, asked) if self.complete else dict(zip(every, every, strict=True))
+        self.alike = dict(zip(every, every, strict=True)) if every_marker else first_alike(system, asked)
         self.markers = sorted(set(self.alike.values()))
         self.rows = any(look.rows for look in looks)
-        self.whole = not self.complete or any(look.states for look in looks)
+        self.whole = every_marker or any(look.states for look in looks)
         self.accelerated = any(look.accelerated for look in looks)
         self.angled = {self.alike[look.marker] for look in looks if look.angled}
         self.wrenches = sorted({look.wrench for look in looks if look.wrench is not None})
@@ -146,11 +148,16 @@ class Looks:
         return [f for f in laws if type(f.law).stored is not EffortLaw.stored]
 
     @cached_property
-    def energies_known(self) -> bool:
-        """Whether the driver and the laws tell all energies."""
+    def shown(self) -> list[Loads]:
+        """Elements whose energy the driver does not know: they tell it themselves of their markers."""
         known = ScalarLoads, TimeLoads
         rest = [f for f in self.system.forces if type(f) not in known and not f.formulas() and f.mounts() is None]
-        return all(type(f).energy is Loads.energy for f in rest)
+        return [f for f in rest if type(f).energy is not Loads.energy]
+
+    @property
+    def energies_known(self) -> bool:
+        """Whether the driver tells all energies of a state."""
+        return not self.stores and not self.shown
 
 
 class Recorded:
@@ -191,9 +198,13 @@ class Recorded:
     def evaluation(self, s: State, i: int) -> Evaluation:
         """The system in one of the states, with the motion of its markers as the driver told it."""
         ev = self.twin.original.at(s.t, s.q, s.v)
-        x, R, twist = self._markers
-        ev.kin = SeenKinematics(x[i], R[i], twist[i], ev.markers)
+        ev.kin = self._kinematics(i, ev.markers)
         return ev
+
+    def _kinematics(self, i: int, whole: Callable[[], Kinematics]) -> SeenKinematics:
+        """Motion of the markers in one of the states."""
+        x, R, twist = self._markers
+        return SeenKinematics(x[i], R[i], twist[i], whole)
 
     @cached_property
     def _markers(self) -> tuple[Array, Array, Array]:
@@ -246,10 +257,22 @@ class Recorded:
         """Force and torque of a joint on its first body, or of an element on that of a side (0, 1), (k, d + n_rot)."""
         return self.arrays["reaction"][:, self.looks.wrenches.index((name, side))]
 
+    @property
+    def written(self) -> dict[str, Array]:
+        """Those of :meth:`energies` that the driver has written."""
+        every = dict(zip(KINDS, self.arrays["energy"].T, strict=True))
+        return every if self.looks.energies_known else {kind: every[kind] for kind in KINDS if kind != "springs"}
+
     def energies(self) -> dict[str, Array]:
         """Kind -> J, (k,), as :meth:`Evaluation.energies`."""
         out: dict[str, Array] = dict(zip(KINDS, self.arrays["energy"].T, strict=True))
         for place, law in self.looks.stores:
             s = self.arrays["reading"][:, place, 0]
             out["springs"] = out["springs"] + np.array([law.stored(float(x)) for x in s[:, 0]])
+        for loads in self.looks.shown:
+            seen = [
+                self._kinematics(i, lambda i=i: self.evaluation(self.state(i), i).markers()) for i in range(len(self))
+            ]
+            told = [loads.energy(kin, t) for kin, t in zip(seen, self.t.tolist(), strict=True)]
+            out["springs"] = out["springs"] + np.array(told)
         return out

@@ -265,7 +265,7 @@ class DriverStates(CompiledGeometry):
     def energies(self, at: Configurations) -> Array | None:
         """Kinetic, elastic, of the weight and of springs, J, (k, 4); None as above, or where laws in Python store some."""
         looks = self.tables.looks
-        if not looks.energies_known or looks.stores:
+        if not looks.energies_known:
             return None
         room = self._room(at)
         asked = self.ask(self.library.driver_energies, *room.at, room.places["energies"])
@@ -320,7 +320,7 @@ class DriverGlance:
             "q": s.n_q, "v": s.n_v, "a": s.n_v, "lam": s.n_lam, "units": s.n_lam,
             "found": len(Seen._fields), "energies": 4, "sums": s.n_v, "room": 2 * s.n_lam,
         })  # fmt: skip
-        known = energies and looks.energies_known and not looks.stores
+        known = energies and looks.energies_known
         self.q, self.v, self.a, self.lam = (made[name][0] for name in ("q", "v", "a", "lam"))
         self.found = made["found"][0]
         self._energies: Array | None = made["energies"][0] if known else None
