@@ -126,7 +126,7 @@ class Looks:
         """Numbers of the elements of a batch, or of one, that are read or store energy in a law, -1 for the others; None without
         any.
         """
-        out = np.full(len(loads.forces), -1)
+        out: np.ndarray = np.full(len(loads.forces), -1)
         for i, f in enumerate(loads.forces):
             if f.name in self.elements or f in self._storing:
                 if f.name not in self.slots:
