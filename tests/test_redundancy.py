@@ -9,6 +9,7 @@ import pytest
 import scipy.linalg as sl
 import scipy.sparse as sp
 from combinations import BODIES
+from scipy.integrate import solve_ivp
 from test_compiled_evaluation import compiled
 
 import fmbd_fenicsx as fmbd
@@ -498,3 +499,24 @@ def test_a_light_door_on_a_heavy_frame_whose_hinges_are_nearly_in_line(scheme: A
         run = fmbd.solve(scene, t_end=0.3, scheme=scheme, output=fmbd.Output(estimate_error=False))
         reactions.append(np.abs(run["force"]).max())
     assert reactions[1] == pytest.approx(reactions[0], rel=1e-5)
+
+
+@compiled
+@pytest.mark.parametrize("stages", [2, 3])
+def test_a_heavy_leaf_hangs_on_two_hinges_of_a_light_post(stages: int) -> None:
+    """All rows hold the post of 1e-8 kg, and by 1e8 less the leaf of 1 kg: steps had no end, or 2 421 increments."""
+    scene = fmbd.Scene("door", gravity=(0.0, -9.81, 0.0))
+    post = fmbd.RigidBody("post", 1e-8, 1e-8 * np.eye(3), (0.0, 0.0, 1.0))
+    leaf = fmbd.RigidBody("leaf", 1.0, 0.1 * np.eye(3), (1.0, 0.0, 1.0))
+    scene.add(post, leaf)
+    for i in range(2):
+        center = (0.0, 0.0, 2.0 * i)
+        scene.add(fmbd.revolute(f"base {i}", fmbd.ground, post, center=center))
+        scene.add(fmbd.revolute(f"hinge {i}", post, leaf, center=center))
+    scene.sensor("place", fmbd.position(leaf))
+    run = fmbd.solve(scene, t_end=0.5, scheme=fmbd.Radau(stages, rtol=1e-6), output=fmbd.Output(estimate_error=False))
+
+    falls = lambda t, y: (y[1], -9.81 * np.cos(y[0]) / 1.1)  # J = 0.1 + 1 kg m^2 about the axis
+    turned = solve_ivp(falls, (0.0, 0.5), (0.0, 0.0), rtol=1e-10, atol=1e-12).y[0, -1]
+    np.testing.assert_allclose(run["place"][-1, :2], (np.cos(turned), np.sin(turned)), rtol=0, atol=2e-6)
+    assert run.counters["newton_iterations"] < 400

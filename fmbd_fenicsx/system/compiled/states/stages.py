@@ -113,6 +113,7 @@ class StageRoom(PointRoom):
 
         c = self.c = Stages(
             n=n, m=m, size=size, levels=len(structure.levels), frequencies=p, points=k, entries=entries,
+            frames=states.tables.system.motions.n_twist * len(states.tables.system.frame_names),
             pulls=structure.pulls, frozen=structure.frozen_at,
             first=structure.first, ties=structure.ties.address,
             start=address_of(structure.start), row=address_of(structure.row), order=address_of(structure.order), relax=1.0,

@@ -18,7 +18,8 @@ typedef struct {
 } Lower;
 
 typedef struct {
-    int n, m, size, levels, frequencies, points, first, corrections; /* size: unknowns; first: of the levels of rows */
+    int n, m, size, levels, frequencies, points, first, corrections; /* size: unknowns; first: of the levels of rows; */
+    int frames;                     /* of n, those of twists of bodies */
     double pulls[2];                /* of the form, see Form */
     int *start, *row, *order;       /* K by columns; order of elimination */
     long entries, room;             /* room: for entries of L, and of U */
@@ -79,11 +80,11 @@ static void balance(const Stages *o, double *rows, double *columns)
     }
 }
 
-static const double LEAST_SOFT = 1e-12; /* as SOFT: above what roundoff leaves of pivots */
+static const double LEAST_SOFT = 1e-13; /* as SOFT: above what roundoff leaves of pivots */
 static const double FIRM = 1e-6;        /* most that a solution may leave open of the row that moves least */
 
 /* How soft dependent rows are at a frequency of one, by the masses. Rows that hold light bodies may together move heavy ones alone: that
-   is closed as well. */
+   is closed as well, so what moves least is that of each row on one body of its own. */
 static void soften_rows(const Stages *o)
 {
     double *mass = o->x, most = 0.0, least = INFINITY;
@@ -91,12 +92,20 @@ static void soften_rows(const Stages *o)
         for (int p = o->start[j]; p < o->start[j + 1]; p++)
             if (o->row[p] == j) mass[j] = o->K2[p];
     for (int i = 0; i < o->m; i++) {
-        double weight = 0.0;
-        for (int p = o->start[o->n + i]; p < o->start[o->n + i + 1]; p++)
-            if (o->row[p] < o->n && mass[o->row[p]] > 0.0) weight += o->K0[p] * o->K0[p] / mass[o->row[p]];
-        weight *= o->units[i] * o->units[i];
+        double weight = 0.0, own = 0.0;
+        for (int p = o->start[o->n + i], body = -1; p < o->start[o->n + i + 1]; p++) {
+            const int row = o->row[p];
+            if (row >= o->n || !(mass[row] > 0.0)) continue;
+
+            const double moved = o->units[i] * o->units[i] * o->K0[p] * o->K0[p] / mass[row];
+            weight += moved;
+            if (row >= o->frames) continue;
+            if (own > 0.0 && row / TWIST != body) least = fmin(least, own), own = 0.0;
+            own += moved;
+            body = row / TWIST;
+        }
         most = fmax(most, weight);
-        if (weight > 0.0) least = fmin(least, weight);
+        if (weight > 0.0) least = fmin(least, own > 0.0 ? own : weight);
     }
     const double soft = fmax(fmin(SOFT * most, FIRM * least), LEAST_SOFT * most);
     for (int i = 0; i < o->m; i++) o->softness[i] = soft / (o->units[i] * o->units[i]);
