@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from ...checks import array, check_fields, vector
-from ...errors import CallbackError, InputError, floats, named, require
+from ...errors import AGREEMENTS, CallbackError, InputError, floats, named, require
 from ...rotations import Array
 from ..body import EQUATIONS, Body, Placed, Site
 from ..placements import FrameMotion, Part
@@ -132,12 +132,13 @@ class CoordinateBody(Body):
 class CoordinatePart(Part):
     """Equations (1) as a part of a system: the ports are the coordinates themselves."""
 
+    together = True
+
     def __init__(self, body: Any, frame: int) -> None:
         self.body, self.name, self.frame = body, body.name, frame
         self.n = self.n_port = len(np.asarray(body.start))
         self.reference = np.zeros(self.n)
         self.port_matrix = np.eye(self.n)
-        self.together = bool(body.vectorized)
         self._force = named("The force of body", body.name, body.force, to_end=True)
         tangent = body.force_jacobian
         self._tangent = None if tangent is None else named("The force_jacobian of body", body.name, tangent)
@@ -167,7 +168,7 @@ class CoordinatePart(Part):
     def force(self, motion: FrameMotion, local: tuple[Array, Array, Array]) -> tuple[Array, Array]:
         """M q'' - f."""
         q, v, a = local
-        f = self._finite("force(q, v, t)", self._force(q, v, motion.t), (self.n,), motion.t)
+        f = self._forces(q[None], v[None], [motion.t])[0]
         M = self.mass(q) if self.constant_mass is None else self.constant_mass
         return np.zeros(len(motion.twist)), M @ a - f
 
@@ -197,7 +198,7 @@ class CoordinatePart(Part):
         q, v, a = local
         body = self.body
         if not body.vectorized:
-            f = np.array([self._force(x, y, float(now)) for x, y, now in zip(q, v, t, strict=True)], dtype=float)
+            f = self._forces(q, v, t.tolist())
             if self.constant_mass is None:
                 inertia = np.array([self.mass(q[i]) @ a[i] for i in range(len(q))])
             else:
@@ -215,6 +216,20 @@ class CoordinatePart(Part):
                 f"{self.n} finite numbers."
             )
         return inertia - f
+
+    def _forces(self, q: Array, v: Array, t: list[float]) -> Array:
+        """f of k configurations, one after another. What is not seen at a glance to be usable is asked again with all that
+        belongs to it.
+        """
+        if not AGREEMENTS:
+            try:
+                f = np.array([self.body.force(x.copy(), y.copy(), now) for x, y, now in zip(q, v, t, strict=True)])
+                if f.shape == q.shape and f.dtype == np.float64 and isfinite(np.add.reduce(f, axis=None)):
+                    return f
+            except Exception:
+                pass  # with a name below
+        what, shape = "force(q, v, t)", (self.n,)
+        return np.array([self._finite(what, self._force(*at), shape, at[2]) for at in zip(q, v, t, strict=True)])
 
     def given(self, motion: FrameMotion, local: tuple[Array, Array]) -> dict[str, float] | None:
         """None: forces of the user are one sum."""
@@ -236,7 +251,7 @@ class CoordinatePart(Part):
 
     def _slopes_at(self, motion: Array, t: float) -> Array:
         """The derivative of the force by coordinates and rates, (n, 2 n); by one call where it takes many places."""
-        if self.together and self._slopes.by_complex:
+        if self.body.vectorized and self._slopes.by_complex:
             n = self.n
             try:
                 return derivative_many(lambda z, at: self._force(z[:n], z[n:], at), motion[None], np.array([t]))[0]

@@ -75,7 +75,7 @@ class ToldPart:
         if self.rests and self.part.together:
             self.addresses["ahead"] = ahead
 
-        self._of_time = self.part.of_time
+        self._of_time, self._force = self.part.of_time, self.part.force
         self._told: Any = None  # the structure
         self._last: tuple[bytes, Array] | None = None  # motion and rows of forces, of a part that knows no time
 
@@ -87,15 +87,16 @@ class ToldPart:
             return
 
         motion, _, local = self.motion.at(t)
-        self.rows[: self.tables.twist], self.rows[self.tables.twist :] = self.part.force(motion, local)
+        self.rows[: self.tables.twist], self.rows[self.tables.twist :] = self._force(motion, local)
         if not self._of_time:
             self._last = known, self.rows.copy()
 
     def points(self) -> None:
         """Rows of the coordinates at the points of a step, by one call."""
         n, asked = self.part.n, self._ahead[: self._told.foretold]
-        t, u, rate, second = (x.T for x in np.split(asked.T[: 1 + 3 * n].copy(), (1, 1 + n, 1 + 2 * n)))
-        asked[:, 1 + 3 * n :] = self.part.force_many(t[:, 0], (u, rate, second))
+        seen = asked.T[: 1 + 3 * n].copy()
+        u, rate, second = seen[1 : 1 + n].T, seen[1 + n : 1 + 2 * n].T, seen[1 + 2 * n :].T
+        asked[:, 1 + 3 * n :] = self.part.force_many(seen[0], (u, rate, second))
 
     def energies(self, t: float) -> None:
         """Kinetic, elastic and weight energy."""
