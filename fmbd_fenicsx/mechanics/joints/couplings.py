@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ...checks import function as checked_function
-from ...errors import ROUNDINGS, CallbackError, FmbdError, floats, named
+from ...errors import AGREEMENTS, ROUNDINGS, CallbackError, FmbdError, floats, named
 from ...rotations import Array
 from ..frames import Kinematics
 from ..kinds.time_derivatives import Rates, SmoothIntervals, TimeFormula, rates
@@ -41,15 +41,23 @@ class SmoothMotion:
     smooth: SmoothIntervals = field(default_factory=SmoothIntervals)
     table: Callable[[float], Any] | None = None  # as the user gave it
     analytic: bool = False
+    raw: Callable[[float], Any] | None = None  # the function without names for its errors
 
     def __call__(self, t: float) -> tuple[float, float, float]:
         """s, s', s'' at a time."""
         if not self.complete:
             place = self.place(t)
             return place, *self.rates(t, place)
+        if self.raw is not None and not AGREEMENTS:
+            try:
+                value = self.raw(t)
+                if isinstance(value, np.ndarray) and value.ndim == 1:
+                    value = tuple(value.tolist())
+                if isinstance(value, tuple) and len(value) == 3 and self._usable(*value):
+                    return value
+            except Exception:
+                pass  # with a name below
         value = self.function(t)
-        if isinstance(value, tuple) and len(value) == 3 and self._usable(*value):
-            return value
         s = self._checked(value, t)
         self._require(len(s) == 3, s, t)
         return float(s[0]), float(s[1]), float(s[2])
@@ -180,7 +188,9 @@ def smooth_motion(
     written = None if complete else TimeFormula.of(function)
     formula = None if written is None else named(what, name, written.rates, time=0)
     analytic = written is not None and written.smooth
-    return SmoothMotion(name, asked, of, complete, differenced, positive, formula, table=given, analytic=analytic)
+    return SmoothMotion(
+        name, asked, of, complete, differenced, positive, formula, table=given, analytic=analytic, raw=function
+    )
 
 
 class CouplingBatch(Batch):

@@ -57,6 +57,7 @@ class AskedFunction(Answers):
                 self.shift[side, c, k] = 1.0
             else:
                 self.spin[side, :, :, k] = spin_matrix(np.eye(n)[c - d])
+        self.spins = np.ascontiguousarray(self.spin.transpose(3, 0, 1, 2))
         self.skew = np.cos(1.0 + np.arange(self.width))
 
     @cached_property
@@ -136,11 +137,11 @@ class AskedFunction(Answers):
         if together and AGREEMENTS:
             together = False
         try:
+            if not by_complex:
+                return self._differences(poses, t, together)
             with warnings.catch_warnings():
                 warnings.simplefilter("error", np.exceptions.ComplexWarning)  # an imaginary part dropped on the way
-                if by_complex:
-                    return np.imag(self._columns(poses, t, 1j * TINY, together)) / TINY
-                return self._differences(poses, t, together)
+                return self._columns(poses, t, 1j * TINY, together).imag / TINY
         except Exception:
             if not (by_complex or together):
                 raise
@@ -156,15 +157,27 @@ class AskedFunction(Answers):
         """g with each column's displacement times a step, (m, width)."""
         x, R = poses
         moved = x[..., None] + self.shift * step
-        turned = R[..., None] + np.einsum("sijk,sjl->silk", self.spin, R) * step
-        if not together:
-            each = [self.at((moved[..., k], turned[..., k]), t) for k in range(self.width)]
-            return np.array(each).T.copy()
+        turned = R[..., None] + (self.spins @ R).transpose(1, 2, 3, 0) * step
+        if together:
+            found = np.asarray(self.raw(moved[0], turned[0], moved[1], turned[1], t))
+            if not self._usable(found, (self.count, self.width)):
+                raise TypeError("no columns")
+            return found
 
-        found = np.asarray(self.raw(moved[0], turned[0], moved[1], turned[1], t))
-        if found.shape != (self.count, self.width) or found.dtype.kind not in "fc" or not np.isfinite(found).all():
-            raise TypeError("no columns")
-        return found
+        each = [(moved[..., k], turned[..., k]) for k in range(self.width)]
+        if not AGREEMENTS:
+            try:
+                found = np.array([self.raw(x[0], R[0], x[1], R[1], t) for x, R in each])
+                if self._usable(found, (self.width, self.count)):
+                    return found.T.copy()
+            except Exception:
+                pass  # with a name below
+        return np.array([self.at(moved, t) for moved in each]).T.copy()
+
+    @staticmethod
+    def _usable(found: Array, shape: tuple[int, ...]) -> bool:
+        """Whether these are numbers of a shape, at a glance."""
+        return found.shape == shape and found.dtype.kind in "fc" and isfinite(abs(np.add.reduce(found, axis=None)))
 
     def _dropped(self, rows: Array, poses: Poses, t: float) -> bool:
         """Whether complex steps give something else than differences along one direction that moves everything."""
@@ -179,8 +192,8 @@ class AskedFunction(Answers):
     def moves(self, poses: Poses, t: float, here: Array) -> bool:
         """Whether it depends on time, by what it says now and at two other times."""
         try:
-            soon, late = [self.checked(self.raw(*_both(poses), t + later), t) for later in (1e-3, 0.37)]
-            return bool(((soon != here) | (late != here)).any())
+            soon, late = [self.at(poses, t + later) for later in (1e-3, 0.37)]
+            return not soon.tolist() == late.tolist() == here.tolist()
         except Exception:
             return True  # a table of some length
 
@@ -250,13 +263,15 @@ class AskedKind(PythonKind):
         for k, side in enumerate(f.live):
             lever = poses[0][side] - frames[side][0]
             part = rows[:, k * size : (k + 1) * size]
-            part[:, d:] += f.motions.moment(np.broadcast_to(lever, (len(rows), d)), part[:, :d])
-        return np.column_stack((np.real(f.at(poses, t)), rows))
+            part[:, d:] += f.motions.moment(lever + np.zeros((len(rows), d)), part[:, :d])
+        found = np.empty((len(rows), 1 + f.width))
+        found[:, 0], found[:, 1:] = f.at(poses, t).real, rows
+        return found
 
     def _in_time(self, at: At, t: float) -> Array:
         """Whether the function depends on time, and g_t, (1 + m,)."""
         f, poses = self.function, self._poses(at, self._frames(at))
-        here = np.real(self._value(at, t)[:, 0])
+        here = self._value(at, t)[:, 0]
         moves = f.moves(poses, t, here)
         return np.array([moves, *(f.partial(poses, t) if moves else np.zeros(f.count))])
 

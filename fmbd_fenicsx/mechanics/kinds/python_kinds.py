@@ -72,23 +72,35 @@ class PythonKind(Kind):
 
     def _told(self, which: str) -> Callable[..., None]:
         """The kernel as compiled code calls it; errors are kept for whoever called C, which goes on without numbers."""
-        views: dict[tuple[Any, ...], tuple[list[Array], Array]] = {}
+        views: dict[tuple[Any, ...], tuple[list[Array], list[Array], Array, list[Any]]] = {}
+        known, drive = self.function.known, self.place("drive").start
+        size = FRAME[self.dim]
+        moves = self.dim + self.dim**2 if which == "value" else size  # what of a frame is seen
 
         def told(n: int, on: int, frames: int, P: int, W: int, out: int) -> None:
             found = views.get((n, on, frames, P, out))
             if found is None:
-                size, sides = FRAME[self.dim], (ctypes.c_int * self.between).from_address(on)
-                items = [_view(frames + 8 * size * side, 1, size) for side in sides]
-                found = [*items, _view(P, n, self.width)], _view(out, n, len(self.outputs[which]))
+                sides = (ctypes.c_int * self.between).from_address(on)
+                items = [*[_view(frames + 8 * size * side, 1, size) for side in sides], _view(P, n, self.width)]
+                seen = [*[x[0, :moves] for x in items[:-1]], items[-1]]
+                found = items, seen, _view(out, n, len(self.outputs[which])), [None]
                 if len(views) > 16:
                     views.clear()
                 views[n, on, frames, P, out] = found
+            if which == "tangent":
+                return
+            items, seen, answer, newest = found
+            # the same is asked several times in a row
+            key, t = [not W, *[x.tobytes() for x in seen]], float(items[-1][0, drive])
+            if key == newest[0] and known.get(t) is newest[1]:
+                answer[:] = newest[2]
+                return
             try:
-                if which != "tangent":
-                    found[1][:] = self._found(which, found[0], whole=not W)
+                answer[:] = self._found(which, items, whole=not W)
+                newest[:] = key, known[t], answer.copy()
             except Exception as error:
                 self.function.error = self.function.error or error
-                found[1][:] = np.nan
+                answer[:] = np.nan
 
         return told
 
