@@ -30,6 +30,7 @@ SCHEMES = [
 ]
 OWN = [fmbd.Radau(3, rtol=1e-6), fmbd.BDF(rtol=1e-6), fmbd.HalfExplicit(rtol=1e-6)]
 AROUND, EACH = 15.0, 18.0  # calls of a step that asks for nothing, and for each time that a function is asked
+USABLE = 8.0  # for each time that a function is asked whose answers are usable at a glance
 LOOKS = 60.0  # calls of a step where looks at a run, once in some hundred steps, fall into short ones
 SAMPLE = 725.0  # calls of a sample of four controllers, with the new start behind it
 RECORDED = 600.0  # calls of a sample of one controller, with the record there and those of equal steps up to it
@@ -56,7 +57,7 @@ ROWS: dict[str, Any] = {
 
 
 def scene_of(kind: str, asked: list[float]) -> fmbd.Scene:
-    """Four links that fall, with elements that ask functions ``of time``, of time by ``plain numbers``, ``of motion`` or as an
+    """Four links that fall, with elements that ask functions ``of time``, by ``plain numbers`` or ``arrays``, ``of motion`` or as an
     ``own force`` of it, of the ``road``, of a ``curve`` or of their ``own coordinates``, alone and with a constraint by formulas,
     by plain numbers, or whose derivative is given.
     """
@@ -80,6 +81,10 @@ def scene_of(kind: str, asked: list[float]) -> fmbd.Scene:
             fmbd.forces.motor("motor", s[1], target=lambda t: noted(math.sin(2 * float(t))), kp=30.0, kd=3.0),
             fmbd.drive("drive", s[3], lambda t: noted(abs(0.5 * math.sin(float(t))))),
         )
+    elif kind == "arrays of time":
+        for k in range(3):
+            motion = lambda t: noted(np.array([np.sin(t), np.cos(t), -np.sin(t)]))  # noqa: E731
+            scene.add(fmbd.drive(f"drive {k}", s[k], motion))
     elif kind == "own force":
         pull = lambda t, a, b: noted((-3.0 * b.x - 0.1 * b.v, -0.1 * b.w[0]))  # noqa: E731
         scene.add(fmbd.own_force("pull", fmbd.ground, last, pull))
@@ -154,6 +159,15 @@ def test_tangents_take_slopes_of_forces(scheme: Any) -> None:
     runs = [fmbd.solve(scene_of("own force", []), t_end=k * DT, dt=DT, scheme=scheme).counters for k in (20, 60)]
     increments, tangents = ((runs[1][x] - runs[0][x]) / 40 for x in ("newton_iterations", "jacobians"))
     assert each < getattr(scheme, "stages", 1) * (increments + 1.0) + 3.0 * tangents
+
+
+@compiled
+@pytest.mark.parametrize("kind", ["own coordinates", "curve", "arrays of time"])
+def test_usable_answers_take_few_calls(kind: str) -> None:
+    """Own equations are asked at all stages in one call, joints told once in a row, arrays looked at by NumPy alone."""
+    asked: list[float] = []
+    found, each = calls_a_step(lambda: scene_of(kind, asked), fmbd.Radau(3, rtol=None), asked)
+    assert found < AROUND + USABLE * each
 
 
 @compiled
