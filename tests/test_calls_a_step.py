@@ -57,9 +57,9 @@ ROWS: dict[str, Any] = {
 
 
 def scene_of(kind: str, asked: list[float]) -> fmbd.Scene:
-    """Four links that fall, with elements that ask functions ``of time``, by ``plain numbers`` or ``arrays``, ``of motion`` or as an
-    ``own force`` of it, of the ``road``, of a ``curve`` or of their ``own coordinates``, alone and with a constraint by formulas,
-    by plain numbers, or whose derivative is given.
+    """Four links that fall, with elements that ask functions ``of time``, by ``plain numbers`` or ``arrays``, ``of motion`` or as
+    an ``own force`` of it, of the ``road``, of a ``curve`` or of their ``own coordinates``, alone and with a constraint by
+    formulas, by plain numbers, or whose derivative is given.
     """
     scene, last = chain(4)
     s = [fmbd.angle(scene.joints[f"pin {k}"]) for k in range(4)]

@@ -198,7 +198,7 @@ class CoordinatePart(Part):
         q, v, a = local
         body = self.body
         if not body.vectorized:
-            f = self._forces(q, v, t.tolist())
+            f = self._forces(q, v, [float(now) for now in t])
             if self.constant_mass is None:
                 inertia = np.array([self.mass(q[i]) @ a[i] for i in range(len(q))])
             else:
