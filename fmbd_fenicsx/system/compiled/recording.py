@@ -260,7 +260,7 @@ class Recorded:
     @property
     def written(self) -> dict[str, Array]:
         """Those of :meth:`energies` that the driver has written."""
-        every = dict(zip(KINDS, self.arrays["energy"].T, strict=True))
+        every: dict[str, Array] = dict(zip(KINDS, self.arrays["energy"].T, strict=True))
         return every if self.looks.energies_known else {kind: every[kind] for kind in KINDS if kind != "springs"}
 
     def energies(self) -> dict[str, Array]:
@@ -269,10 +269,15 @@ class Recorded:
         for place, law in self.looks.stores:
             s = self.arrays["reading"][:, place, 0]
             out["springs"] = out["springs"] + np.array([law.stored(float(x)) for x in s[:, 0]])
-        for loads in self.looks.shown:
-            seen = [
-                self._kinematics(i, lambda i=i: self.evaluation(self.state(i), i).markers()) for i in range(len(self))
-            ]
-            told = [loads.energy(kin, t) for kin, t in zip(seen, self.t.tolist(), strict=True)]
-            out["springs"] = out["springs"] + np.array(told)
+        if self.looks.shown:
+            out["springs"] = out["springs"] + np.array([self._shown(i) for i in range(len(self))])
         return out
+
+    def _shown(self, i: int) -> float:
+        """Energy that elements tell of their markers in one of the states, J."""
+
+        def whole() -> Kinematics:
+            return self.evaluation(self.state(i), i).markers()
+
+        kin, t = self._kinematics(i, whole), float(self.t[i])
+        return sum([loads.energy(kin, t) for loads in self.looks.shown])
