@@ -32,7 +32,7 @@ from ...errors import InputError
 from ...rotations import Array
 from ..factors.factor import by_mumps
 from ..mesh.mesh import Mesh
-from .mortar import diameters, mortar, overlap
+from .mortar import diameters, overlap
 from .multipliers import Multipliers, MultiplierSpace, default_space
 from .traces import Trace, refined, scatter, trace_of
 
@@ -234,9 +234,8 @@ def infsup(
         mu = space.on(trace)
         B = mu.coupling()
     else:
-        scalar = fem.functionspace(carrier[0].dolfinx, ("Lagrange", degree))
-        coupling = mortar(trace_of(scalar, *carrier), trace, space, facing=False)
-        mu, B = coupling.multipliers, coupling.master
+        mu = space.on(trace_of(fem.functionspace(carrier[0].dolfinx, ("Lagrange", degree)), *carrier))
+        B = _coupling(mu, trace)
 
     # eigenvalues beta^2 of S = B A^-1 B^T against the norm of the multipliers
     S = body.product(trace.columns(B))
