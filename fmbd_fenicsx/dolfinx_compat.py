@@ -125,6 +125,7 @@ class _Modules:
 
     def _freeing(self, compile_all: Callable[..., Any]) -> Callable[..., Any]:
         """As FFCx's own. What is no Exception would leave the source that others wait for, and ranks beside this one waiting."""
+        from cffi import VerificationError
         from ufl.algorithms.check_arities import ArityMismatch
 
         def compiled(*given: Any, **more: Any) -> Any:
@@ -134,6 +135,12 @@ class _Modules:
             except ArityMismatch as error:
                 self._leave()
                 raise ValueError(str(error)) from error
+            except VerificationError as error:
+                # not from that: of what C compilers say it has many pages
+                raise FmbdError(
+                    f"A form of an elastic body is not compiled: {error}. FEniCSx needs a C compiler for it, the variable CC or "
+                    "cc; rigid bodies, beams and rods run without one."
+                ) from None
             except KeyboardInterrupt:
                 self._leave()
                 raise

@@ -127,6 +127,16 @@ def test_without_compiler_numpy_does_it(tmp_path: Path) -> None:
         "from test_compiled import chain, driver_library, fmbd\n"
         "assert driver_library(2) is None\n"
         "assert fmbd.solve(chain(2), t_end=0.01, dt=1e-3).counters['steps'] == 10\n"
+        "mesh = fmbd.read_gmsh('meshes/rod.py', dim=2, h=0.5, length=1.0, height=0.1)\n"
+        "steel = fmbd.materials.plane_stress(1.2345e9, 0.3)\n"
+        "scene = fmbd.Scene('rod')\n"
+        "scene.add(fmbd.FloatingBody('rod', mesh, density=1000.0, elastic=steel))\n"
+        "try:\n"
+        "    fmbd.solve(scene, t_end=0.01, dt=1e-3)\n"
+        "except fmbd.errors.FmbdError as error:\n"
+        "    assert 'FEniCSx needs a C compiler' in str(error) and 'no-such-compiler' in str(error)\n"
+        "else:\n"
+        "    raise AssertionError('it runs')\n"
     )
     import os
 
