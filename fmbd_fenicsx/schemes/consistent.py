@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import ConstraintError, ConvergenceError
+from ..errors import ConstraintError, ConvergenceError, LinearSolveError
 from ..linear.blocks.field_blocks import Weights
 from ..linear.blocks.incompressibility import VolumeMass, kept_volumes
 from ..linear.condensation import StepSolver
@@ -27,6 +27,7 @@ from .newton import known_gaps
 
 MASS = Weights(1.0, 0.0, 0.0)
 CLOSED = 1e-9  # of the model's length: what is open by less is open by roundoff
+SHORTER = (1.0, 1e-2, 1e-4, 1e-6, 1e-8)  # steps, over that of a metric
 ALMOST = 1e-8  # of the same: a correction whose square is roundoff
 
 
@@ -185,10 +186,21 @@ def corrected(system: System, state: State, solver: StepSolver, metric: Weights)
     With M' = M + h D + h^2 K it leaves out what is too stiff for steps of h: errors of places times a stiffness are no forces.
     """
     ev = system.at(state.t, state.q, state.v)
-    solver.prepare(ev, metric)
+    _prepare(solver, ev, metric)
     gap = ev.gamma() + ev.jacobian.times(state.a)
     da, dlam = solver.solve(-ev.balance(state.a, state.lam), -gap)
     return replace(state, a=state.a + da, lam=state.lam + dlam)
+
+
+def _prepare(solver: StepSolver, ev: Evaluation, metric: Weights) -> None:
+    """The matrix of a metric, that of shorter steps where masses are roundoff beside their stiffness; collective."""
+    for shorter in SHORTER:
+        try:
+            solver.prepare(ev, Weights(metric.cm, shorter * metric.cd, shorter * shorter * metric.ck))
+            return
+        except LinearSolveError:
+            if shorter == SHORTER[-1] or not metric.ck:
+                raise
 
 
 def _size_of_forces(ev: Evaluation, h: Array, held: list[Any]) -> float:
@@ -370,7 +382,7 @@ def project(system: System, state: State, solver: StepSolver, metric: Weights = 
     q = state.q
     for _ in range(10):
         ev = system.at(state.t, q)
-        solver.prepare(ev, metric)
+        _prepare(solver, ev, metric)
         dq, _ = solver.solve(zero, -ev.constraint())
         q = system.compose(q, dq)
         if system.max_abs(dq) <= ALMOST * system.length:  # with the matrix there the next one is as its square
@@ -382,5 +394,5 @@ def project(system: System, state: State, solver: StepSolver, metric: Weights = 
 def _closed_velocities(system: System, state: State, solver: StepSolver, metric: Weights = MASS) -> Array:
     """The nearest ones that constraints allow; collective."""
     ev = system.at(state.t, state.q, state.v)
-    solver.prepare(ev, metric)
+    _prepare(solver, ev, metric)
     return state.v + solver.solve(np.zeros(system.n_v), -ev.opening())[0]
