@@ -196,6 +196,15 @@ def _constant(value: Any, dx: Any) -> Any:
     return fem.Constant(dx.ufl_domain(), np.asarray(value, dtype=float))
 
 
+def turned_virial(C: Array) -> Array:
+    """What the turn of loads that are carried along with the material adds to their part C = sum b X^T (d, d) of the mean stress
+    that slopes work on: nothing along the axis that they press along, the opposite of what presses across it. So a pressure
+    from all sides adds up to none (the effective tension of pipes).
+    """
+    d = len(C)
+    return (C - np.trace(C) * np.eye(d)) / (d - 1)
+
+
 class AppliedLoads:
     """The loads of one field; collective to build.
 

@@ -6,7 +6,8 @@ comes from the mean stress
 
     V sigma = sum_n f_n (X_n - c)^T                                                                         (1)
 
-of nodal forces f that strain the body (of a field: f = K u), c its centre of mass; the slopes from the displacements,
+of nodal forces f that strain the body (of a field: f = K u), c its centre of mass, with what pressures add that turn with it
+(:func:`..fem.loads.turned_virial`); the slopes from the displacements,
 
     int u'^2 dx = waves / L^2 int u^2 dx.                                                                   (2)
 
@@ -22,6 +23,7 @@ from typing import Any
 
 import numpy as np
 
+from ..fem.loads import turned_virial
 from ..log import log
 from ..mechanics.elastic.absolute import AbsoluteField
 from ..mechanics.elastic.modes import first_eigenvalue_bound, principal_axes
@@ -162,7 +164,8 @@ def axial_force(ev: Evaluation, k: int, part: Any, on_surfaces: Array) -> tuple[
     else:
         f = part.field
         strained = f.stiffness(ev.system.local_q(ev.q, k)) - f.loads.constant(ev.t, ev.rotation[part.frame])[1].ravel()
-        stress = f.total(strained.reshape(f.X.shape).T @ f.X)
+        carried = f.loads.carried(ev.t).T @ f.X
+        stress = f.total(strained.reshape(f.X.shape).T @ f.X + turned_virial(carried))
         sizes, axes = principal_axes(f)
 
     length = float(np.sqrt(12.0 * sizes[-1] / part.mass_total))

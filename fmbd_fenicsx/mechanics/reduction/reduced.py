@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import ConvergenceError
+from ...fem.loads import turned_virial
 from ...rotations import Array, axial, hat, motions, spin_matrix
 from ..body import Placed, Site
 from ..elastic.foreshortening import of_constants
@@ -284,7 +285,9 @@ class ReducedPart(Part):
         return stress
 
     def virial(self, port: Array, t: float, R: Array, centre: Array) -> Array:
-        """sum f (X - centre)^T of forces f on the ports and of loads, body axes, (d, d): the sum of the stress they make, N m."""
+        """sum f (X - centre)^T of forces f on the ports and of loads, body axes, (d, d): the sum of the stress that slopes
+        work on, N m.
+        """
         d, blocks = self.dim, (-1, 1 + self.dim, self.dim)
         f, at = port.reshape(blocks), self.reference.reshape(blocks).copy()
         at[:, 0] -= centre
@@ -292,7 +295,8 @@ class ReducedPart(Part):
         for load, b in self.constants.loads:
             if not load.internal:
                 axes = np.eye(d) if load.follower else R.T
-                out += load.factor(t, self.name) * (axes @ b[0] - np.outer(self._load_sum(load, R), centre))
+                own = load.factor(t, self.name) * (axes @ b[0] - np.outer(self._load_sum(load, R), centre))
+                out += own + turned_virial(own) if load.carried else own
         return out
 
     def _load_sum(self, load: Any, R: Array) -> Array:
