@@ -51,6 +51,7 @@ class Run(Uncopied):
         history: attempts of :func:`solve` with ``tol``.
         memory: peak memory of the largest rank, bytes.
         status: "finished", or "stopped" on request. ``step_limit``: of steps that the scheme chooses, s.
+        struck: sensor -> a record (s) that an impact may be on the other side of, and by how much it jumps there.
         damped: sensor -> amplitude of vibrations that steps do not resolve and the scheme takes out, where that is more than
             runs with other steps tell.
         jumps: instants (s) within equal steps at which loads or drives jump, where errors are stated.
@@ -88,6 +89,7 @@ class Run(Uncopied):
     status: str = "finished"
     step_limit: float = np.inf
     damped: dict[str, float] = field(default_factory=dict)
+    struck: dict[str, tuple[float, float]] = field(default_factory=dict)
     jumps: tuple[float, ...] = ()
     halved: bool = False
     alone: bool = False

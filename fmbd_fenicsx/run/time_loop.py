@@ -6,6 +6,8 @@ import time as clock
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, TypeAlias, cast
 
+import numpy as np
+
 from ..agreement import OneAnswer
 from ..errors import ConvergenceError, LinearSolveError
 from ..linear.condensation import StepSolver
@@ -369,6 +371,7 @@ class Loop:
     def left(self) -> Marched:
         """What the march has left."""
         progress = self.progress
+        self.recorder.struck = np.sort(self.stepper.unwrapped.struck)
         return Marched(
             recorder=self.recorder,
             state=self.stepper.told(self.state),

@@ -71,6 +71,7 @@ class TimeStepper(Remembering):
         passes_marks: steps of one :meth:`march` hit all ends up to the last one.
         keeps_memories: it moves the memory of elements on by itself, see :meth:`note`.
         recorded: the highest derivative of the motion that somebody reads, 2: accelerations and multipliers.
+        struck: instants (s) of impacts that happened at their own times, the newest of many.
         gives_up: a step that compiled code does not find is found by nobody: it ends the run.
         keeps: what a checkpoint holds of it, see :class:`~fmbd_fenicsx.system.serialisation.Remembering`.
     """
@@ -86,6 +87,7 @@ class TimeStepper(Remembering):
     keeps_memories: bool = False
     recorded: int = 0
     gives_up: bool = False
+    struck: Sequence[float] = ()
 
     @property
     def counters(self) -> dict[str, float]:

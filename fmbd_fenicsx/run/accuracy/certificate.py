@@ -149,7 +149,7 @@ def stated_of(run: Run, sensors: Iterable[str]) -> Certificate:
 def uncertain_of(run: Run, stated: Certificate) -> dict[str, str]:
     """Why what is stated may be far from the errors of a sensor: sensor -> reason."""
     spans = moving(run.series, run.scene.sensors)
-    in_time = _uncertain_in_time, _uncertain_by_kinks, _uncertain_by_damping
+    in_time = _uncertain_in_time, _uncertain_by_kinks, _uncertain_by_damping, _uncertain_at_impacts
     reasons = {
         s.sensor: [why for tell in in_time for why in tell(run, s)] + _uncertain_in_space(s)
         for s in stated.statements
@@ -272,6 +272,17 @@ def _uncertain_by_damping(run: Run, stated: Statement) -> list[str]:
         f'the error of time of "{stated.sensor}" is uncertain: {run.scheme.name} takes vibrations of some {amplitude:.1e} '
         f"{stated.unit} out of it that steps of {run.dt:.2g} s do not resolve, and that runs with other steps do not tell. "
         "Take a much smaller dt if they matter, or damping or a start in equilibrium (settle=True) if they do not"
+    ]
+
+
+def _uncertain_at_impacts(run: Run, stated: Statement) -> list[str]:
+    """Why a record may be that of the other side of an impact; empty where none is so near to one."""
+    time, jump = run.struck.get(stated.sensor, (0.0, 0.0))
+    if jump <= HIDDEN * (stated.time or 0.0):
+        return []
+    return [
+        f'the record of "{stated.sensor}" at t = {time:.9g} s is nearer to an impact than this is known: it may be from the '
+        f"other side, where the sensor differs by {jump:.1e} {stated.unit}. Leave it out, or take another dt"
     ]
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...log import log
+from ...rotations import Array
 from ..problem import Problem
 from ..recording.output import Output
 from ..recording.recorder import Recorder
@@ -16,6 +17,7 @@ from ..schedule import StepSchedule, step_schedule
 from .certificate import moving
 from .companion_runs import UNFIT, Compared, StoppedError, again, companion
 from .deviation import BeyondLarger, Deviation, alignment, at_least, scaled
+from .jumps_at_records import instants_off
 from .jumps_in_time import with_break_points
 from .orders import (
     REGULAR,
@@ -59,7 +61,8 @@ class TimeError:
     ``halved``: told by one with half the step. ``unseen``: no order was seen where one had to be. ``by_chance``: sensors whose
     orders are, see :func:`compare_steps`. ``told_by``: the fewest steps of the runs that tell it, those that only show the order
     left out where it is that of the scheme. ``apart``: what the run has beyond the next one with larger steps. ``instead``: the
-    run whose error it is, in place of the one that was asked about: a whole one with half its step.
+    run whose error it is, in place of the one that was asked about: a whole one with half its step. ``struck``: instants of
+    impacts, and what they are off, s.
     """
 
     errors: dict[str, Deviation]
@@ -71,6 +74,7 @@ class TimeError:
     told_by: int = 0
     apart: Mapping[str, Deviation] = field(default_factory=dict)
     instead: Solved | None = None
+    struck: tuple[Array, Array] = (np.zeros(0), np.zeros(0))
 
 
 def time_error(problem: Problem, fine: Recorder, schedule: StepSchedule, *, kinked: bool = False) -> TimeError:
@@ -152,7 +156,7 @@ def by_half(
             doubted = irregular((expected[name], given.scheme.order), orders[name], max(share, other.size / span))
             most = max(FURTHER, 1.0 / share) if doubted and share > 0.0 else FURTHER
             errors[name] = at_least(errors[name], other, most)
-    return TimeError(errors, orders, given, halved=True)
+    return TimeError(errors, orders, given, halved=True, struck=instants_off(given.recorder, finer.recorder, 2.0))
 
 
 def _left_by(
@@ -262,7 +266,8 @@ def compare_steps(
     regular = resolved(seen, expected, REGULAR) and all(p <= expected[n] + TOO_HIGH for n, p in seen.items())
     told_by = coarser[0 if regular else -1].steps
     follower, chance = others[-1] if others else given, frozenset(by_chance)
-    return TimeError(errors, orders, follower, by_chance=chance, told_by=told_by, apart=beyond)
+    struck = instants_off(fine, coarse, 1.0 / (ratio - 1.0))
+    return TimeError(errors, orders, follower, by_chance=chance, told_by=told_by, apart=beyond, struck=struck)
 
 
 def of_order(

@@ -30,6 +30,7 @@ from .certificate import HIDDEN, kinked, moving, stated_of, uncertain_of
 from .companion_runs import UNFIT, Compared, as_recorded, companion
 from .deviation import Deviation, at_least, scaled
 from .equal_steps import equal_steps_error
+from .jumps_at_records import jumps_at_records
 from .jumps_in_time import jumps_about_kinks
 from .larger_steps import beyond_by_halves
 from .orders import expected_orders, seen_by_ends
@@ -330,6 +331,7 @@ def state_errors(run: Run, problem: Problem, made: Compared, output: Output) -> 
 
         errors = with_early_rest(found.errors, problem, made)
         errors, run.damped = with_damped(errors, damped_vibrations(problem, made.schedule))
+        run.struck = jumps_at_records(errors, made.recorder, found.struck)
         run.deviations["time"] = errors
         run.observed_order, run.halved, run.alone, made = found.orders, found.halved, found.unseen, found.with_others
         run.seconds["error estimate"] = clock.perf_counter() - ended

@@ -49,6 +49,7 @@ class Recorder:
         self.steps = StepNumbers(np.zeros(0, dtype=int))
         # (k,) of times and energies, (k, size) of sensors
         self.moments = Records()
+        self.struck: Array = np.zeros(0)  # instants of impacts in the march, s
         self.energies: dict[str, Records] = {}
         self.values: dict[str, Records] = {n: Records() for n in self.scene.sensors}
         times = self.output.times

@@ -56,6 +56,7 @@ class MoreauStepper(ContactStepper):
         self.carried = np.zeros_like(self.ledger.force)  # forces of contacts in the last flight
         self.carrying = np.zeros(len(self.carried), dtype=bool)  # contacts with a force that is no impact
         self.rule, self.located, self.accumulations = rule, 0, 0
+        self.struck: list[float] = []
         self._stations: list[State] = []
         self._pressing: Array = state.a  # accelerations of the last flight
 
@@ -69,6 +70,7 @@ class MoreauStepper(ContactStepper):
         unchanged.
         """
         before = self.state, self.carried, self.carrying, copy(self.ledger)
+        struck = len(self.struck)
         remembered = memories(self.system)
         self._stations = [self.state]
         self._pressing = self.state.a
@@ -95,6 +97,7 @@ class MoreauStepper(ContactStepper):
                 iterations += part.iterations
         except FmbdError:
             self.state, self.carried, self.carrying, self.ledger = before
+            del self.struck[struck:]
             restore(self.system, remembered)
             raise
 
@@ -225,6 +228,7 @@ class MoreauStepper(ContactStepper):
         """
         s, contacts, (left, h) = self.state, self.contacts, lengths
         self.located += int(hit.sum())
+        self.struck.append(s.t)
         rows, rate = self._rows_and_rates(hit, (s.t, s.q, s.v), h)
         pull, rests = contacts.times(self.system, rows.N, self._pressing), np.zeros_like(hit)
         rests[hit] = _over(rows.restitution, rate, pull, h if self.rule.early else left)

@@ -35,6 +35,7 @@ from ..companion_runs import UNFIT, Compared
 from ..deviation import Deviation
 from ..equal_steps import Orders, TimeError, astray, between, known_orders
 from ..estimates import usual_errors, warn_of_uncertain, with_damped, with_single_ends
+from ..jumps_at_records import jumps_at_records
 from .attempts import Attempt, of_jumps, of_space
 from .dear_attempt import tell_of_dear_attempt
 from .failures import Failures
@@ -388,6 +389,7 @@ def _time_error(plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, solved:
     if allowed.nearly_lets(errors):
         errors = with_early_rest(errors, made.problem, made.compared)
     errors, made.run.damped = with_damped(errors, damped_vibrations(made.problem, made.compared.schedule))
+    made.run.struck = jumps_at_records(errors, made.compared.recorder, found.struck)
     return replace(found, errors=errors)
 
 

@@ -23,6 +23,7 @@ from ....system.compiled import march as slots
 from ....system.compiled.blocks import Ring, block_size, state_of
 from ....system.compiled.calls import Calls
 from ....system.compiled.choice import driver_of
+from ....system.compiled.declarations import enumeration
 from ....system.compiled.kept import Kept
 from ....system.compiled.library import CONTACT
 from ....system.compiled.tables.tables import Tables
@@ -82,6 +83,7 @@ def _split(number: np.ndarray, count: int) -> list[np.ndarray]:
 
 
 BOUNDED = slots.AM
+STRUCK = enumeration("STRUCK", "impacts/moreau.c")["STRUCK"]
 MOST = 1024  # contacts closed at once: a step with more is NumPy's
 
 
@@ -137,7 +139,8 @@ class ContactDriver(PairTables):
             "rows": 2 * (rows + k) * wide, "Y": rows * self.n, "push": self.n + self.m, "open": rows, "old": rows,
             "turns": self.tables.nb * d * d, "least": (41 + 4 * k) * rows, "ahead": self.nq, "xi": self.n, "still": self.n,
             "kept": self.m + 1, "own": m * (1 + 2 * d),
-            "saved": m * k + len(contacts.pairs) * d + 7, "rested": m, "path": (2 * self.rule.impacts + 2) * block_size(s),
+            "saved": m * k + len(contacts.pairs) * d + 7, "rested": m,
+            "struck": STRUCK, "path": (2 * self.rule.impacts + 2) * block_size(s),
         }  # fmt: skip
         counts = {"carrying": m, "closed": m, "bouncing": m, "hits": 2 * m, "was": m, "candidate": m, "known_of": room}
         counts |= {"states": 2 * room, "near": len(contacts.pairs), "listed": len(contacts.pairs)}

@@ -139,6 +139,7 @@ class CompiledMoreauStepper(CompiledSteps, MoreauStepper):
         counts.cycles += tally.cycles
         counts.solves += tally.solves
         self.located += tally.impacts
+        self.struck.extend(self.driver.arrays["struck"][: tally.struck])
         self.accumulations += self.driver.accumulations
         counts.residual = max(counts.residual, float(tally.residual))
         self.driver.c.tally, self.driver.accumulations = Tally(), 0

@@ -38,7 +38,7 @@ typedef struct {
 
 /* What is counted of contacts; a step that is given back counts nothing. */
 typedef struct {
-    long solves, iterations, changes, cycles, steps, newton, impacts, products;
+    long solves, iterations, changes, cycles, steps, newton, impacts, products, struck;
     double residual;
 } Tally;
 
@@ -120,6 +120,7 @@ typedef struct {
     double *ahead, *xi, *kept;                /* like q, like v, like lambda */
     double *saved;                            /* held, impulse, works and energies at the start of a step, of what is near */
     int *was;                                 /* carrying then */
+    double *struck;                           /* the newest instants of impacts (s) since they were counted: STRUCK of them, in turn */
     double *rested;                           /* points: when one whose impacts accumulate in a step came to rest */
     double *path;                             /* most + 2 states: the start of a step and the ends of its parts */
     double *own;                              /* for Python: places of the points in a shape's axes, distances, gradients */

@@ -93,11 +93,14 @@ static int accumulates(const Contacts *c, int i, double acceleration, double rat
     return -2.0 * e * rate <= -(1.0 - e) * time * acceleration;
 }
 
+enum { STRUCK = 4096 }; /* impacts of a call whose instants are kept */
+
 /* A part of almost no length through the impacts of those that bounce; m contacts take part. One whose impacts accumulate comes to rest. */
 static int impact(System *s, Contacts *c, double *p, Block now, Block out, int m, double left, double h)
 {
     const double time = c->early ? h : left;
     const double *pressing = block_at(s, station(s, c, c->flown)).a;
+    c->struck[c->tally.struck++ % STRUCK] = *now.t;
     for (int k = 0; k < c->candidates; k++) {
         const int i = c->candidate[k];
         if (!c->bouncing[i]) continue;
