@@ -252,6 +252,34 @@ def test_orders_that_scatter_are_counted_with_lower_ones_before() -> None:
     assert scattered_order(1.6, 2, 0.1) == scattered_order(1.6, 2, 1.8) == scattered_order(1.6, 2, None) == 1.6
 
 
+@pytest.mark.parametrize(("shift", "told"), [(0.0, True), (0.5, False)])
+@pytest.mark.parametrize("compiled", [True, False])
+def test_records_that_impacts_are_too_near_to_are_named(
+    shift: float, told: bool, compiled: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A slider on a spring hits its stop at 2 pi / 3 s within what the steps leave of a record: nothing told that its velocity
+    there was that of the other side.
+    """
+    if not compiled:
+        monkeypatch.setattr("fmbd_fenicsx.schemes.impacts.compiled.driver.contact_driver", lambda *_, **__: None)
+    body = fmbd.RigidBody("slider", 1.0, 1.0, (0.2, 0.0))
+    rail = fmbd.prismatic("rail", fmbd.ground, body, axis=(1, 0), center=(0.2, 0))
+    s = fmbd.displacement(rail) + 0.2
+    scene = fmbd.Scene("at a stop")
+    scene.add(body, rail, fmbd.joint_spring("spring", s, stiffness=1.0))
+    scene.add(fmbd.joint_limit("stop", fmbd.displacement(rail), lower=-0.3, restitution=0.7))
+    scene.sensor("s", s)
+    scene.sensor("v", fmbd.joint_rate(s))
+    dt = 2.0 * np.pi / 3.0 / (100.0 + shift)
+    run = fmbd.solve(
+        scene, t_end=120 * dt, dt=dt, output=fmbd.Output(progress=False, energy=False, estimate_error=True)
+    )
+    assert set(run.certificate.uncertain) == ({"v"} if told else set())
+    if told:
+        assert "may be from the other side" in run.certificate.uncertain["v"]
+        assert run.struck["v"] == pytest.approx((2.0 * np.pi / 3.0, 1.7 * 0.2 * np.sqrt(0.75)), rel=0.02)
+
+
 def test_jumps_on_the_way_get_steps_that_end_there() -> None:
     """A mass on a spring, pulled from 0.5 s on: with equal steps the error depends on where the jump falls in a step."""
     scene = fmbd.Scene("step", breakpoints=(0.5,))

@@ -371,7 +371,8 @@ class Loop:
     def left(self) -> Marched:
         """What the march has left."""
         progress = self.progress
-        self.recorder.struck = np.sort(self.stepper.unwrapped.struck)
+        if self.problem.system.contacts is not None:
+            self.recorder.struck = np.sort(self.stepper.unwrapped.struck)
         return Marched(
             recorder=self.recorder,
             state=self.stepper.told(self.state),
