@@ -126,11 +126,6 @@ class _Body:
         """J_f^-1 B for columns B (n d, k)."""
         return np.stack([self.solve(B[:, k]) for k in range(B.shape[1])], axis=1) if B.shape[1] else B.copy()
 
-    def destroy(self) -> None:
-        """Free the solver; collective."""
-        for obj in (self.ksp, self.J, self.x, self.b):
-            obj.destroy()
-
 
 def ports_in_use(ev: Evaluation) -> np.ndarray:
     """Ports of fields that constraints and forces may act on."""
@@ -254,8 +249,3 @@ class Fields:
         for body, (k, _) in zip(self.bodies, self.system.fields, strict=True):
             q[in_q[k]] = body.U
             v[in_v[k]] = 2.0 / body.h * (body.U - body.U0) - body.V0
-
-    def destroy(self) -> None:
-        """Free the solvers; collective."""
-        for body in self.bodies:
-            body.destroy()
