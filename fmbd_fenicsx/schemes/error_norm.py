@@ -190,16 +190,6 @@ class ErrorNorm(Remembering):
         """The norm of accelerations, (n,), or the largest over several, that count in no error; collective."""
         return max(self.mean(x) for x in self._of_rates(h, a, 1))
 
-    def weights(self, h: float) -> Array | None:
-        """What errors of places, of velocities and of accelerations are multiplied by before their means are taken, (3, n_v);
-        None where the norm asks for more.
-        """
-        if self.rigid is not None:
-            return None
-        if self.index == 3:
-            return np.array([1.0, h, h * h])[:, None] / self.wq
-        return np.array([1.0 / self.wq, 1.0 / self.wv, h / self.wv])
-
     def mean(self, x: Array) -> float:
         """Root mean square of the core, or that of the worst field, of arrays like v, (..., n_v); collective."""
         s, n = self.system, self.system.n_core

@@ -32,10 +32,8 @@ SINGULAR_MATRIX = (
 class Pencil:
     """(1) inverted for frequencies s, (p,) real or complex, all in one array.
 
-    ``redundant``: dependent constraints are solved with multipliers of least norm. ``room``: None, increments are NumPy's.
+    ``redundant``: dependent constraints are solved with multipliers of least norm.
     """
-
-    room: None = None
 
     def __init__(self, tangent: StepTangent, s: Array, judge: Judge, redundant: int = 0) -> None:
         self.s, self.judge, self.t, self.redundant = s, judge, tangent, redundant

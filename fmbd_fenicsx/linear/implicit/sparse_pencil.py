@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import ctypes
-
 import numpy as np
 
 from ...errors import LinearSolveError
 from ...rotations import Array
-from ...system.compiled.states.convergence import Convergence
 from ...system.compiled.states.stages import StageRoom
 from ...system.tangents.step_tangent import StepTangent
 from ..residual import Judge
@@ -39,12 +36,3 @@ class SparsePencil:
         self.judge.check(float(left), float(size), OPEN_ROWS, solves=len(kin))
         real = not self.s[: len(kin)].imag.any()
         return (change.real, mult.real) if real else (change, mult)
-
-    def iterate(self, convergence: Convergence, until: int) -> None:
-        """Increments of the points in the room, up to number ``until``, or to one of which NumPy has something to say."""
-        room, judge, before = self.room, self.judge, convergence.done
-        convergence.accurate = judge.tolerance
-        room.states.anew = True
-        room.states.ask(room.states.library.driver_stage_iterate, room.address, ctypes.addressof(convergence), until)
-        if made := convergence.done - before:
-            judge.check(float(room.judged[0]), float(room.judged[1]), OPEN_ROWS, solves=made * len(self.s))

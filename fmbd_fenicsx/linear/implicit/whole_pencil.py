@@ -93,8 +93,6 @@ class WholePencil:
     do; ``corrections``: of their solutions.
     """
 
-    room: None = None
-
     def __init__(
         self,
         structure: WholeStructure,

@@ -26,7 +26,6 @@ of complex symmetric systems: Axelsson and Kucherov, doi:10.1002/1099-1506(20000
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from contextlib import nullcontext
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -36,8 +35,6 @@ from ...linear.frequency_solvers import FrequencySolver
 from ...linear.residual import Judge
 from ...ranks import rank_sum
 from ...rotations import Array
-from ...system.compiled.states.convergence import Convergence
-from ...system.compiled.states.field_stages import FieldStageRoom
 from ...system.system import System
 
 if TYPE_CHECKING:
@@ -157,36 +154,6 @@ class FieldStages:
         self.wide = [np.iscomplexobj(x) for x in self.s]
         # a complex frequency stands for two stages; one more than these, the first of all, filters errors only
         self.first = int(len(self.s) + sum(self.wide) > points)
-        self._room: FieldStageRoom | None = None
-
-    @property
-    def room(self) -> FieldStageRoom | None:
-        """Who adds increments in compiled code; None where solutions may have to be iterated on, or where that has no place."""
-        eq, t = self.eq, self.t
-        if self._room is None and self._trusted.all():
-            self._room = eq.stage_room(len(self.s), self.points, self.square)
-            if self._room is not None:
-                self._room.derive_at(t.state, t.low, eq.closing.columns, t.turnings)
-        return self._room
-
-    def iterate(self, convergence: Convergence, until: int) -> None:
-        """Increments of the points in the room, up to number ``until``, or to one whose solution has to be iterated on."""
-        room = self._room
-        assert room is not None
-
-        for by in reversed(self.by):  # complex ones look at rows with the tables of real ones
-            by.prepare(self.t.ev)
-        solvers = [tables for by in self.by if (tables := by.tables) is not None]
-        if len(set(map(id, solvers))) < len(self.by):  # matrices of some are NumPy's, or share their tables
-            return
-
-        room.take_frequencies(np.array(self.s))
-        room.solve_by(solvers, self.before, SLOW)
-        done = convergence.done
-        with self.eq.pressures.lent(room) if self.eq.pressures.fields else nullcontext():
-            self.judge.solves += room.iterate(convergence, until)
-        self.eq.renewals.count(convergence.done - done, float(room.c.relax))
-        self.before = room.known["before"].copy()
 
     def solve(self, kin: Array, low: Array) -> tuple[Array, Array]:
         """Increments dxi, dv side by side (p, 2 n_v) and multipliers (p, levels n_lam), for residuals r_kin (p, n_v) and r_low

@@ -22,7 +22,6 @@ import numpy as np
 
 from ...linear.condensation import StepSolver
 from ...rotations import Array, rotate_nodal
-from ...system.compiled.states.field_stages import FieldStageRoom
 from ...system.evaluation import Evaluation
 
 Values = list[Array]  # of each field (n_pressure,)
@@ -77,20 +76,6 @@ class StagePressures:
                 self._gaps.append([part.field.volume_gap(ev.local(k)[0]) for k, part in self.fields])
         pushes = np.array([self._push(gaps) for gaps in self._gaps])
         return np.array(found) + pushes, pushes
-
-    @contextmanager
-    def lent(self, room: FieldStageRoom) -> Iterator[None]:
-        """Let compiled code move them for a while, with the points that stand in ``room``."""
-        points = room.shape[1]
-        if len(self._of_stages) != points:
-            self._of_stages = [self.start] * points
-        room.put_pressures(self.start, self._of_stages)
-        self.solver.pressures = self.start
-        try:
-            yield
-        finally:
-            self._of_stages = room.pressures()
-            self.solver.pressures = self._of_stages[-1]
 
     def move(self, dxi: Array, relax: float) -> None:
         """Pressures of all stages after increments (k, n_v) of :meth:`balances`, which close so much of the gaps; the last one's

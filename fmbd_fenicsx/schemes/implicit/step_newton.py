@@ -29,47 +29,25 @@ Increments = tuple[Array, Array, Array]  # of xi, v and of multipliers
 
 
 class StageIteration:
-    """Increments from predicted ``points`` at the times t (k,), in compiled code where it can; ``equations`` of the step.
+    """Increments from predicted ``points`` at the times t (k,); ``equations`` of the step.
 
     What points leave of the equations is decoupled by the rule of the scheme, solved for frequency by frequency, and added:
 
         kin, low = residual(points),      z = pencil.solve(inverse kin, inverse low),      points += relax Re(vectors z)     (1)
     """
 
-    def __init__(self, equations: Any, t: Array, points: Points, rule: StageRule, weights: Array | None) -> None:
-        self.eq, self.t, self.rule, self._weights = equations, t, rule, weights
-        self._points = points
-        self._room: Any = None  # of compiled code, which has the points
-
-    @property
-    def points(self) -> Points:
-        """The newest."""
-        if self._room is not None:
-            self._points, self._room = Points(*self._room.points()), None
-        return self._points
-
-    def follow(self, pencil: Any, convergence: Convergence, until: int) -> None:
-        """Add increments in compiled code, up to number ``until`` of the iteration, as far as it can."""
-        room, eq, before = pencil.room, self.eq, convergence.done
-        if room is None or self._weights is None:
-            return
-        if self._room is not room:
-            room.put(self.t, eq.origin, self.points, self.rule, self._weights)
-            self._room, eq.left = room, room.left
-        try:
-            pencil.iterate(convergence, until)
-        finally:
-            eq.residuals += len(self.t) * (convergence.done - before)
+    def __init__(self, equations: Any, t: Array, points: Points, rule: StageRule) -> None:
+        self.eq, self.t, self.points, self.rule = equations, t, points, rule
 
     def increment(self, pencil: Any) -> Increments:
-        """Add one increment, in NumPy."""
-        p, n = self.points, self._points.xi.shape[1]
+        """Add one increment."""
+        p, n = self.points, self.points.xi.shape[1]
         kin, low = self.eq.left_of(self.t, p, self.rule)
         change, mult = self._solved(pencil, kin, low)
         dxi, dv = change[:, :n], change[:, n:]
         couple = self.rule.couple
         self.eq.follow(dxi, self.rule)
-        self._points = Points(p.xi + dxi, p.rate + couple @ dxi, p.v + dv, p.vd + couple @ dv, p.mult + mult)
+        self.points = Points(p.xi + dxi, p.rate + couple @ dxi, p.v + dv, p.vd + couple @ dv, p.mult + mult)
         return dxi, dv, mult
 
     def creeps(self, pencil: Any, moved: Increments) -> bool:
@@ -123,7 +101,6 @@ class StepNewton(Remembering):
         self.increments = self.factorisations = 0
 
         self._allowed = 0.0  # m, what an increment of a constant step may move
-        self._unweighted = np.ones((3, system.n_v))
         self._roundoff = STILL * EPS * system.length  # m
 
     # -- from step to step ----------------------------------------------------------------------------------------
@@ -239,8 +216,7 @@ class StepNewton(Remembering):
     def iteration(self, h: float, state: State, t: Array, points: Points, rule: StageRule) -> StageIteration:
         """The iteration for the points, at t (k,), of a step of size h (s) from a state."""
         self.allow(h, state)
-        weights = self.norm.weights(h) if self.adaptive else self._unweighted
-        return StageIteration(self.eq, t, points, rule, weights)
+        return StageIteration(self.eq, t, points, rule)
 
     def convergence(self, h: float, rates: Rates, first: float) -> Convergence:
         """Of an iteration in a step of h (s) of which nothing is done so far; ``first``: share that one increment leaves."""
@@ -255,7 +231,6 @@ class StepNewton(Remembering):
         """Increments up to number ``until`` of the iteration, or to its end; why it has failed, "" where it has not."""
         before = convergence.done
         try:
-            iteration.follow(self.pencil, convergence, until)
             while convergence.outcome == GOES_ON and convergence.done < until:
                 moved = iteration.increment(self.pencil)
                 judge_increment(convergence, self.size(h, *moved), still=self.still)

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from ...errors import LinearSolveError
 from ...linear.frequency_solvers import FrequencySolver
 from ...linear.implicit.sparse_pencil import SparsePencil
@@ -178,7 +176,7 @@ class WholeFieldSteps(WholeSteps):
         ready = [tables for by in self._lent if (tables := by.tables) is not None]
         if len(ready) < len(s):
             raise LinearSolveError("the matrix of a frequency is NumPy's.")
-        room.solve_by(ready, np.zeros(len(s)), np.inf)
+        room.solve_by(ready)
         for states in ready:
             states.factor.hold(None)
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable, Sequence
-from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -16,7 +14,7 @@ from ..declarations import structure_of
 from ..tables.structures import Sizes, zeros_of
 from .evaluation import DriverStates
 from .field_states import FactoredFieldStates
-from .stages import ENDINGS, POINTS, PointRoom, StageRule, Stages
+from .stages import ENDINGS, POINTS, PointRoom, Stages
 
 FieldStages = structure_of("implicit/field_stages.c", "FieldStages")
 MOVING = ("xi", "rate", "v", "vd")  # of points, like v
@@ -77,16 +75,6 @@ class FieldStageRoom(PointRoom):
         count = sum(self._counts)
         return {"pressure": (points, count), "opened": (points, count), "began": count}
 
-    def put_pressures(self, began: list[Array], points: list[list[Array]]) -> None:
-        """Take pressures that are unknowns where a step begins, of each field (n_pressure,), and those of its points."""
-        self.known["began"][:] = np.concatenate(began)
-        self.known["pressure"][:] = [np.concatenate(values) for values in points]
-
-    def pressures(self) -> list[list[Array]]:
-        """Those of the points."""
-        cuts = np.cumsum(self._counts)[:-1]
-        return [np.split(values, cuts) for values in self.known["pressure"].copy()]
-
     def take_outworn(self) -> State | None:
         """The motion where new tangents of fields are asked for, once; else None."""
         c, known = self.fields, self.known
@@ -101,17 +89,6 @@ class FieldStageRoom(PointRoom):
         """q where the step begins."""
         return self.twin.places(self.arrays["q0"])
 
-    def put(self, t: Array, q0: Array, points: Any, rule: StageRule, weights: Array) -> None:
-        """As of all points, with the frames at rest."""
-        twin = self.twin
-        wide = replace(points, **{name: twin.velocities(getattr(points, name)) for name in MOVING})
-        super().put(t, twin.configurations(q0), wide, rule, twin.velocities(weights))
-
-    def points(self) -> tuple[Array, ...]:
-        """As of all points, without the frames at rest."""
-        *moving, mult = super().points()
-        return *map(self.twin.forces, moving), mult
-
     def begin(self, frequencies: Callable[[float], None], start: tuple[Array, ...] | None) -> None:
         """Steps begin: who lends matrices, see tables.py; what closes the start of the first, dq, v and a, or None.
 
@@ -123,36 +100,11 @@ class FieldStageRoom(PointRoom):
         if start is not None:
             self.known["closed"][:] = self.twin.velocities(np.array(start))
 
-    def take_frequencies(self, s: Array) -> None:
-        """Those of stages that Python makes, s (p,); whole steps have their own."""
-        self.arrays["s"][:, 0], self.arrays["s"][:, 1] = s.real, s.imag
-
-    def solve_by(self, solvers: Sequence[FactoredFieldStates], before: Array, slow: float) -> None:
-        """Take those who have the matrices of the frequencies, the sizes of the increments before (p,), and up to which share of
-        these increments count whose solutions nobody iterates on.
-        """
-        self.fields.slow, self.fields.lent = slow, 0.0
+    def solve_by(self, solvers: Sequence[FactoredFieldStates]) -> None:
+        """Take those who have the matrices of the frequencies."""
+        self.fields.lent = 0.0
         self._solvers = solvers
         for states in solvers:
             self.states.tables.listening.share(states.tables.listening)
         self._by[:] = [states.address for states in solvers]
-        self.known["before"][:] = before
-
-    def derive_at(self, state: State, balance: Array, closing: Array, turnings: Array) -> None:
-        """Take the motion where derivatives are taken, balance and rows there, N (n, m), and d rate / d xi of the frames."""
-        known, twin, n = self.known, self.twin, len(state.v)
-        self.fields.t, self.fields.sampled_at = state.t, np.nan
-        known["q"][:], known["lam"][:] = twin.configurations(state.q), state.lam
-        known["v"][:], known["a"][:] = twin.velocities(state.v), twin.velocities(state.a)
-        known["balance"][:] = np.concatenate((twin.velocities(balance[:n]), balance[n:]))
-        known["N"][:] = twin.velocities(closing.T)
-        known["turnings"][: turnings.size] = turnings.ravel()
-
-    def iterate(self, convergence: Any, until: int) -> int:
-        """Increments of the points, up to number ``until`` or to one that has to be iterated on; how often it was solved."""
-        self.fields.solves = 0.0
-        self.states.anew = True
-        self.states.ask(self.states.library.driver_stage_iterate, self.address, ctypes.addressof(convergence), until)
-        for states in self._solvers:
-            states.calls.raise_error()
-        return int(self.fields.solves)
+        self.known["before"][:] = 0.0

@@ -61,14 +61,6 @@ class PointRoom:
         self._kinds = ends, counts = self.states.twin.kinds
         self.c.kinds, self.c.kind_end, self.c.counted = len(ends), address_of(ends), address_of(counts)
 
-    def put(self, t: Array, q0: Array, points: Any, rule: StageRule, weights: Array) -> None:
-        """Points about q0 at the times t (k,), the rule, and weights of increments (3, n)."""
-        x = self.arrays
-        x["t"][:], x["q0"][:] = t, q0
-        x["xi"][:], x["rate"][:], x["v"][:], x["vd"][:] = points.xi, points.rate, points.v, points.vd
-        x["mult"][:] = points.mult
-        self.lend(rule, weights)
-
     def lend(self, rule: StageRule, weights: Array) -> None:
         """The rule, and weights of increments (3, n)."""
         x = self.arrays
@@ -79,20 +71,10 @@ class PointRoom:
             x[name][..., 0], x[name][..., 1] = mixing.real, mixing.imag
         self.c.relax = rule.relax
 
-    def points(self) -> tuple[Array, ...]:
-        """xi, its rate, v, its rate and multipliers of the points, the caller's own."""
-        return tuple([self.arrays[name].copy() for name in ("xi", "rate", "v", "vd", "mult")])
-
     @property
     def shared(self) -> int:
         """Frequencies that points have a share in: all but one that filters errors only."""
         return int(self.arrays["inverse"].any(axis=(1, 2)).sum())
-
-    @property
-    def left(self) -> Array:
-        """What the last point left of the first rows, (m,)."""
-        n, m = self.c.n, self.c.m
-        return self.arrays["low"][-1, n : n + m] if self.c.levels else np.zeros(m)
 
 
 def _by_rows(pattern: Pattern, data: int) -> ctypes.Structure:

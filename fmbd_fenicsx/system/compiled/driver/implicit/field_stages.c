@@ -1,5 +1,5 @@
 /* Increments of the stages of elastic fields, by the matrices of their frequencies: schemes/implicit/stage_krylov.py, whose symbols these
-   are, as long as no solution has to be iterated on. Complex vectors have two parts, all real numbers first. */
+   are, where no solution is iterated on. Complex vectors have two parts, all real numbers first. */
 
 static const double SEEN = 0.005;    /* share of an increment above which known parts of rates are seen, SMALL there */
 static const double SHIFTED = 0x1p-26; /* of a difference quotient, over the model's length */
@@ -26,7 +26,6 @@ typedef struct FieldStages {
     int pressures;                     /* unknown ones of all fields, side by side: */
     double *pressure, *opened, *began; /* points x pressures: of the points, and their balances; where the step began */
     double relaxed;                    /* how increments of the last step were corrected for factors of another frequency */
-    double solves, slow;               /* share of the increment before from which on Python iterates on solutions */
 } FieldStages;
 
 static int parts_of(const Stages *o, int f) { return o->s[2 * f + 1] != 0.0 ? 2 : 1; }
@@ -263,14 +262,13 @@ static int field_solution(System *s, const Stages *o, int f, int known)
     scaled(minus, parts, n, e->c, e->b);
     memset(e->c, 0, parts * m * sizeof(double));
     if (o->levels) scaled(scale, parts, m, e->given, e->c);
-    e->solves += 1.0;
     verdict = driver_solve(e->by[f], 1, e->q, e->b, e->c, x, e->found);
     if (verdict && verdict != LOOK) return verdict;
     if (o->levels) scaled(twice, parts, m, e->found, y);
     return DONE;
 }
 
-/* The solution of frequency f behind one of size ``before``, 0: it is the first; LOOK where it has to be iterated on. */
+/* The solution of frequency f behind one of size ``before``, 0: it is the first; LOOK where it is no number. */
 static int trusted_solution(System *s, const Stages *o, int f, double before)
 {
     const FieldStages *e = o->fields;
@@ -285,7 +283,7 @@ static int trusted_solution(System *s, const Stages *o, int f, double before)
         if ((verdict = field_solution(s, o, f, 1))) return verdict;
         size = size_of(o, parts_of(o, f), x);
     }
-    if (!(size < INFINITY) || (before > 0.0 && e->slow * before < size)) return LOOK;
+    if (!(size < INFINITY)) return LOOK;
     e->sizes[f] = size;
     return DONE;
 }

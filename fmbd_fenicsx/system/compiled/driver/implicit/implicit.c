@@ -143,17 +143,17 @@ static int iterate_points(System *s, Implicit *o, double length, double *work)
     Stages *g = o->stages;
     Convergence *c = o->convergence;
     Bend none[MOST_BENT];
-    if (g->fields) return driver_stage_iterate(s, g, c, c->most);
+    if (g->fields) return increments_by_one_tangent(s, g, c);
 
     s->bent = 0;
     g->hesitations = 0;
     g->crosses = 1;
     g->iterate = bends_of(s, g, 0, none) < 0 ? ON_ITS_OWN : FIRST;
-    int verdict = increments_until(s, g, c, c->most);
+    int verdict = increments_of(s, g, c);
     if (verdict == BENT && !(verdict = take_straight(s, o, length, work))) {
         s->bent = 1;
         g->iterate = AGAIN;
-        verdict = increments_until(s, g, c, c->most);
+        verdict = increments_of(s, g, c);
         o->factored = 0.0; /* the next step takes slopes as they are */
     }
 

@@ -431,13 +431,12 @@ static double size_moved(const System *s, const Stages *o, const Convergence *c)
 
 static const double FALLS = 0.5; /* rate up to which an iteration with the tangent at hand goes on where laws are still to settle */
 
-/* Newton's iteration up to increment number ``until``, as far as solutions are accurate; what depends on time only is sampled at the
-   last of the points then. */
-static int increments_until(System *s, Stages *o, Convergence *c, int until)
+/* Newton's iteration, as far as solutions are accurate; what depends on time only is sampled at the last of the points then. */
+static int increments_of(System *s, Stages *o, Convergence *c)
 {
     const int before = c->done;
     o->judged[0] = o->judged[1] = 0.0;
-    while (c->outcome == GOES_ON && c->done < until && o->judged[0] <= c->accurate * o->judged[1]) {
+    while (c->outcome == GOES_ON && c->done < c->most && o->judged[0] <= c->accurate * o->judged[1]) {
         int verdict = stage_increment(s, o, c->done - before);
         if (verdict && c->done > before) sample_point(s, o, o->points - 1, 1);
         if (verdict) return verdict;
@@ -454,12 +453,12 @@ static int increments_until(System *s, Stages *o, Convergence *c, int until)
 }
 
 /* The same with a tangent that stays: where what slides creeps on its slopes of what stuck, the iteration has failed. */
-EXPORT int driver_stage_iterate(System *s, Stages *o, Convergence *c, int until)
+static int increments_by_one_tangent(System *s, Stages *o, Convergence *c)
 {
     Bend none[MOST_BENT];
-    if (o->fields) note_slopes(o->fields->by[0], o->slopes);
+    note_slopes(o->fields->by[0], o->slopes);
     o->iterate = bends_of(s, o, 0, none) < 0 ? ON_ITS_OWN : FIRST;
-    const int verdict = increments_until(s, o, c, until);
+    const int verdict = increments_of(s, o, c);
     o->iterate = ON_ITS_OWN;
     if (verdict != BENT) return verdict;
     c->outcome = TOO_SLOW;
