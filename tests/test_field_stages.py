@@ -29,8 +29,7 @@ from fmbd_fenicsx.schemes.dae import Points
 from fmbd_fenicsx.schemes.implicit import field_stages
 from fmbd_fenicsx.schemes.implicit.field_stages import FieldEquations
 from fmbd_fenicsx.schemes.implicit.implicit_stepper import ImplicitStepper
-from fmbd_fenicsx.schemes.implicit.stage_krylov import FieldStages
-from fmbd_fenicsx.schemes.implicit.step_newton import StageIteration, StepNewton
+from fmbd_fenicsx.schemes.implicit.step_newton import StepNewton
 from fmbd_fenicsx.schemes.multistep.bdf import BDFStepper
 from fmbd_fenicsx.schemes.onestep.radau import RadauStepper
 from fmbd_fenicsx.system.compiled.choice import use_driver
@@ -338,33 +337,6 @@ def swing(mesh: Any, dim: int, made: Any = floating) -> fmbd.Scene:
     scene.add(fmbd.spherical("knee", rod.surface("tip"), bob, center=(1.0, 0.05, 0.0)[:dim]))
     scene.sensor("tip", fmbd.position(rod.surface("tip")))
     return scene
-
-
-@compiled
-@pytest.mark.parametrize("form", [fmbd.GGL(), fmbd.Index3(), fmbd.Index2()], ids=lambda form: form.name)
-@pytest.mark.parametrize(("dim", "kind"), [(2, floating), (3, floating), (2, rubber)])
-def test_increments_are_those_of_numpy(
-    rod_mesh: Callable[..., Any], dim: int, kind: Any, form: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Steps of one size: those of NumPy, number by number, in compiled code."""
-    scene = swing(rod_mesh(dim=dim, h=0.5, height=0.2), dim, kind)
-    monkeypatch.setattr(ImplicitStepper, "_march_of", lambda _: None)
-
-    runs, many = [], []
-    increment = StageIteration.increment
-    monkeypatch.setattr(StageIteration, "increment", lambda *given: (many.append(1), increment(*given))[1])
-    for compiled_too in (True, False):
-        many.clear()
-        if not compiled_too:
-            monkeypatch.setattr(FieldStages, "room", None)
-        runs.append(fmbd.solve(scene, t_end=0.2, dt=0.01, scheme=fmbd.Radau(3, rtol=None, form=form)))
-        assert (len(many) < 0.6 * runs[-1].counters["newton_iterations"]) == compiled_too
-    fast, slow = runs
-    for name in ("steps", "newton_iterations", "stage_iterations", "residuals"):
-        assert fast.counters[name] == slow.counters[name], name
-    for name in ("q", "v", "lam"):
-        wanted = getattr(slow.state, name)
-        assert getattr(fast.state, name) == pytest.approx(wanted, rel=1e-8, abs=1e-8 * np.abs(wanted).max()), name
 
 
 SCHEMES = (
