@@ -17,7 +17,6 @@ from .field_states import FactoredFieldStates
 from .stages import ENDINGS, POINTS, PointRoom, Stages
 
 FieldStages = structure_of("implicit/field_stages.c", "FieldStages")
-MOVING = ("xi", "rate", "v", "vd")  # of points, like v
 
 
 class FieldStageRoom(PointRoom):
