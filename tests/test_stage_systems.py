@@ -19,17 +19,14 @@ from fmbd_fenicsx.errors import LinearSolveError
 from fmbd_fenicsx.linear.condensation import StepSolver
 from fmbd_fenicsx.linear.residual import Judge
 from fmbd_fenicsx.schemes.control import FALLEN, ROUNDOFF, STAGNATION
-from fmbd_fenicsx.schemes.dae import Points
 from fmbd_fenicsx.schemes.implicit.convergence import Rates, judge_increment
 from fmbd_fenicsx.schemes.implicit.step_equations import StepEquations
-from fmbd_fenicsx.schemes.implicit.step_newton import StageIteration
 from fmbd_fenicsx.schemes.implicit.step_tangents import DenseTangents, SparseTangents
 from fmbd_fenicsx.schemes.multistep import corrector as bdf
 from fmbd_fenicsx.schemes.onestep import stage_newton as radau
 from fmbd_fenicsx.schemes.onestep.collocation import tableau
 from fmbd_fenicsx.system.compiled.choice import use_driver
 from fmbd_fenicsx.system.compiled.states.convergence import CONVERGED, DIVERGED, GOES_ON, TOO_SLOW, Convergence
-from fmbd_fenicsx.system.compiled.states.stages import StageRule
 from fmbd_fenicsx.system.layout import State
 from fmbd_fenicsx.system.system import System
 from fmbd_fenicsx.system.tangents.step_tangent import StepTangent
@@ -224,50 +221,6 @@ def test_rows_are_exchanged_where_pivots_are_small(name: str) -> None:
     nothing = replace(made, **{key: 0.0 * values for key, values in vars(made).items()})
     with pytest.raises(LinearSolveError, match="singular"):
         eq.tangents.pencil(nothing, s, JUDGE, redundant=False)
-
-
-@compiled
-@pytest.mark.parametrize("stages", [1, 3])
-@pytest.mark.parametrize("form", FORMS, ids=lambda form: form.name)
-@pytest.mark.parametrize("name", ["plane", "reduced 2D", "reduced 3D", "rod", "tied 2D", "tied 3D"])
-def test_increments_of_compiled_code(name: str, form: Any, stages: int) -> None:
-    """One call evaluates, solves and adds; points, sizes and counts like those that NumPy finds."""
-    system, eq, state, mult = case(name, form)
-    t, _, v, a, _ = driven(name)[1]
-    tangent, tab = eq.refresh(state, mult), tableau(3)
-    rule, s = StageRule(np.array([[1.5 / H]]), np.eye(1), np.eye(1), 0.9), np.array([1.5 / H])
-    if stages > 1:
-        rule, s = StageRule(tab.W / H, tab.inverse, tab.vectors), tab.values / H
-    points = Points(*(x[:stages] for x in (0.01 * v, v - a, v, a)), np.repeat(mult[None], stages, axis=0))
-    weights = np.random.default_rng(6).uniform(1.0, 2.0, (3, system.n_v))
-
-    pencil, found = eq.pencil(tangent, s, JUDGE, stages), []
-    for w in (None, weights):
-        iteration, before = StageIteration(eq, t[:stages], points, rule, w), eq.residuals
-        convergence = Convergence(most=2, adaptive=True, tolerance=1e-300, limit=0.99, largest=np.inf, first=1.0, h=H)
-        follow = lambda i=iteration, c=convergence: i.follow(pencil, c, 2)  # noqa: E731
-        calls = calls_of(follow)
-        while convergence.outcome == GOES_ON:
-            assert w is None or name.startswith("reduced")  # which NumPy looks at, bent as much
-            judge_increment(convergence, weighted(eq, weights, iteration.increment(pencil)), still=False)
-        told = [getattr(convergence, name) for name in ("done", "outcome", "size", "theta", "share")]
-        found.append((*vars(iteration.points).values(), told, np.array(eq.residuals - before), eq.left.copy()))
-
-    for x, y in zip(found[1], found[0], strict=True):
-        roundoff = 1e-9 if 2 in form.levels else 1e-10
-        assert x == pytest.approx(y, rel=1e-8, abs=roundoff * np.abs(y).max(initial=1e-300))
-    if name == "rod":  # laws of time are Python's in the plane
-        assert calls <= 8
-
-
-def weighted(eq: StepEquations, weights: np.ndarray, increments: Any) -> float:
-    """The norm of increments, by NumPy."""
-    dxi, dv, dmult = increments
-    push = eq.pushes(dmult) if eq.levels else np.zeros_like(dxi)
-    kinds = [*zip(weights, (dxi, dv, push), strict=True)]
-    if eq.tied:
-        kinds.append((H * H * weights[0], eq.pulls(dmult)))
-    return float(np.sqrt(max(((w * x) ** 2).mean(axis=1).max() for w, x in kinds)))
 
 
 @compiled
