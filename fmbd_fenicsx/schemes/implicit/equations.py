@@ -13,9 +13,11 @@ from ...rotations import Array
 from ...system.compiled.states.stages import StageRule
 from ...system.control.memory_points import PointRule
 from ...system.element_memory import collocate, collocated
+from ...system.evaluation import Evaluation
 from ...system.layout import State
 from ...system.serialisation import Remembering
 from ...system.system import System
+from ...system.tangents.creep import creeps, laws_that_bend
 from ..consistent import MASS
 from ..dae import Form, Points, Unconstrained
 from .whole_steps import WholeSteps
@@ -100,7 +102,15 @@ class Equations(Remembering):
 
     def creeps(self, tangent: Any, t: Array, p: Points, dxi: Array, dv: Array) -> bool:
         """Whether increments (k, n_v) to points at the times t (k,) moved on by slopes that laws have at the tangent alone."""
-        return False
+        if not laws_that_bend(self.system):
+            return False
+        q = self.system.compose(self.origin, p.xi)
+        points = ((self.system.at(float(t[i]), q[i], p.v[i]), dxi[i], dv[i]) for i in range(len(t)))
+        return creeps(self.system, self.taken_at(tangent), points)
+
+    def taken_at(self, tangent: Any) -> Evaluation:
+        """The system where the newest tangent was taken."""
+        raise NotImplementedError
 
     def aligned(self, t: Array, W: Array, p: Points) -> Points:
         """Foretold stages at the times t (k,) as an iteration wants to begin; d rate = W dxi."""

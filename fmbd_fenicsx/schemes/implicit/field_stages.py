@@ -35,7 +35,6 @@ from ...system.evaluation import Evaluation
 from ...system.layout import State
 from ...system.serialisation import Remembering, plain, worker
 from ...system.system import System
-from ...system.tangents.creep import creeps
 from ..consistent import MASS
 from ..dae import Form, Points
 from .equations import Equations, Start
@@ -275,11 +274,9 @@ class FieldEquations(Equations):
         if self.pressures.fields:
             self.pressures.move(dxi + rule.relax * (rule.vectors @ self.left_motions).real, rule.relax)
 
-    def creeps(self, tangent: FieldTangent, t: Array, p: Points, dxi: Array, dv: Array) -> bool:
-        """As :meth:`Equations.creeps`."""
-        q = self.system.compose(self.origin, p.xi)
-        points = ((self.system.at(float(t[i]), q[i], p.v[i]), dxi[i], dv[i]) for i in range(len(t)))
-        return creeps(self.system, tangent.ev, points)
+    def taken_at(self, tangent: FieldTangent) -> Evaluation:
+        """As :meth:`Equations.taken_at`."""
+        return tangent.ev
 
     def accelerations(self, p: Points) -> Array:
         """a = v' + N e, (k, n_v)."""

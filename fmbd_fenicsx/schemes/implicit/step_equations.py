@@ -23,6 +23,7 @@ from ...system.compiled.states.couplings import Couplings
 from ...system.compiled.states.evaluation import DriverStates
 from ...system.compiled.states.points import PointsTold
 from ...system.compiled.states.stage_patterns import StageStructure
+from ...system.evaluation import Evaluation
 from ...system.evaluation_batch import EvaluationBatch
 from ...system.layout import State
 from ...system.serialisation import Memory, plain, worker
@@ -55,6 +56,7 @@ class StepEquations(Equations):
         self.whole = WholeMatrixSteps(self)
         self._chosen: Any = None  # who evaluated the system when these were chosen
         self._weighed: State | None = None  # whose masses are to be taken
+        self._tangent_at: State  # of the newest tangent
         self._evaluated: tuple[Array, Points]  # times and points whose residual is the newest
 
     def remember(self, m: Memory) -> None:
@@ -249,12 +251,17 @@ class StepEquations(Equations):
         derivatives of the velocity and acceleration rows are directional derivatives, all directions in one evaluation.
         """
         self.jacobians += 1
+        self._tangent_at = state
 
         def lower(at: EvaluationBatch) -> Array:
             k = len(at.q)
             return self.lower(at, np.repeat(state.a[None], k, axis=0), np.repeat(mult[None], k, axis=0))
 
         return self.tangents.take(state, mult, self.solver, lower)
+
+    def taken_at(self, tangent: Any) -> Evaluation:
+        """As :meth:`Equations.taken_at`."""
+        return self.system.at(self._tangent_at.t, self._tangent_at.q, self._tangent_at.v)
 
     def tangent_at(self, t: float, xi: Array, v: Array, vd: Array, mult: Array) -> Any:
         """As :meth:`Equations.tangent_at`."""

@@ -23,11 +23,14 @@ from .foretold_efforts import foretold_efforts
 SETTLED, BENDS = constants("implicit/bends.c", "SETTLED", "BENDS")
 
 
+def laws_that_bend(system: System) -> list[ScalarLoads]:
+    """Elements with efforts by formulas with a name."""
+    return [f for f in system.forces if isinstance(f, ScalarLoads) and f.formulas()]
+
+
 def creeps(system: System, tangent: Evaluation, points: Iterable[tuple[Evaluation, Array, Array]]) -> bool:
     """Whether increments of places and velocities, both like v, to these points are those of a tangent with other slopes."""
-    bent = [f for f in system.forces if isinstance(f, ScalarLoads) and f.formulas()]
-    if not bent:
-        return False
+    bent = laws_that_bend(system)
     twists = foretold_efforts(system).twists
     for ev, dxi, dv in points:
         moved, faster = twists(ev, dxi), twists(ev, dv)
