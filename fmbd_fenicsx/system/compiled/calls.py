@@ -227,6 +227,9 @@ class Calls:
     def _efforts_ahead(self, number: int, count: float) -> None:
         """N at so many points of a step."""
         items = self.tables.sources[number]
+        if items.law is None:
+            self.tables.listening.efforts_ahead(int(count))
+            return
         free, points, law = items.arrays["free"], items.ahead[: int(count)], items.law
         n = free.size
         assert law is not None

@@ -77,15 +77,15 @@ class LawWithMemory:
         """u of a continuous law at time t, with z and g: as points of a step have it, else of (3); what was found is not asked
         for again.
         """
-        points = self.points
-        number = points.number(self.kept, t)
-        if number is not None and points.y[number] == y.tobytes():
+        points, known, keeps = self.points, y.tobytes(), bool(self.controller.memory)
+        number = points.number(self.kept, t) if keeps else None
+        if number is not None and points.y[number] == known:
             return points.u[number], points.z[number], points.rate[number]
         if self._within.kept is not self.kept or len(self._answers) > RECENT:
             self._answers, self._within = {}, StepMemory(self.name, self.kept)
-        key = t, y.tobytes()
+        key = t, known
         found = self._answers.get(key)
-        if found is None and (z := self.kept.within(t)) is not None:
+        if found is None and (z := self.kept.within(t) if keeps else self.kept.z) is not None:
             u, rate = self.asked(t, y, z)
             found = self._answers[key] = u, z, rate
 

@@ -236,6 +236,7 @@ int ask_iterate(System *s, Batch *k, Law *law, const void *how, double t);
 int ask_slopes(System *s, Batch *k, double t);
 int take_slopes(System *s, Batch *k, double t);
 int control_effort(System *s, Batch *k, double t);
+const double *read_all(const System *s);
 static const double OF_THE_LAW = 0.1; /* share of N that a change worth looking at is of */
 /* The line of item i at a point of a step. */
 static inline double *line_of(const Batch *k, int point, long i) { return k->line + LINE * (point * k->n + i); }

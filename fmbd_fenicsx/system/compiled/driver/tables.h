@@ -138,6 +138,7 @@ typedef struct {
     long sloped;                       /* the evaluation whose slopes these are */
     Reading *reading;
     double *y, *u, *known_y, *known_u; /* known: where the slopes of the matrix were taken */
+    int ahead;                         /* the batch that has what all are asked ahead; negative: memories have to be known before */
 } Controllers;
 
 /* What moves with a body, as its coordinates say: a surface by its mean; the section of a line, whose ports are x, y and an angle; the

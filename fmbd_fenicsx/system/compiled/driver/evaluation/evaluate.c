@@ -82,6 +82,7 @@ static int asks_ahead(const System *s, const Batch *k) { return k->ahead && (s->
 static void note_point(System *s, long j, double t)
 {
     for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
+        if (k->told) values(s, k), coordinates(s, k);
         if (!asks_ahead(s, k)) continue;
         double *x = k->ahead + j * (1 + k->sees + k->answers);
         x[0] = t;
@@ -90,9 +91,8 @@ static void note_point(System *s, long j, double t)
             memcpy(x + 1, k->sight, k->sees * sizeof(double));
             continue;
         }
-        values(s, k);
-        coordinates(s, k);
-        memcpy(x + 1, k->s, k->sees * sizeof(double));
+        if (!k->act) values(s, k), coordinates(s, k);
+        memcpy(x + 1, k->act ? read_all(s) : k->s, k->sees * sizeof(double));
     }
 }
 

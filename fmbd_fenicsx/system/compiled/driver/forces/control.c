@@ -11,7 +11,7 @@ static void lever_of(const System *s, const Reading *r, double *lever)
 }
 
 /* y, where frames are placed and the coordinates that are read have been told. */
-static void read_all(const System *s)
+const double *read_all(const System *s)
 {
     const Controllers *c = s->controllers;
     for (const Reading *r = c->reading; r < c->reading + c->readings; r++) {
@@ -43,6 +43,7 @@ static void read_all(const System *s)
         }
         add(y, 1.0, lever, D);
     }
+    return c->y;
 }
 
 static int ask_control(System *s, int what, double t)
@@ -70,7 +71,10 @@ int control_effort(System *s, Batch *k, double t)
         read_all(s);
         for (int i = 0; k->aside && i < o->count; i++)
             if (o->own[i]) c->y[o->first + i] = o->own[i] == OWN_RATE ? *k->rate : *k->s;
-        if (!s->straight && ask_control(s, EFFORTS, t)) return FAILED;
+        const Batch *first = c->ahead < 0 || s->straight || k->aside ? NULL : s->batch + c->ahead;
+        const double *ahead = first ? known_ahead(s, first, c->y, t) : NULL;
+        if (ahead) memcpy(c->u, ahead, first->answers * sizeof(double));
+        else if (!s->straight && ask_control(s, EFFORTS, t)) return FAILED;
         c->fresh = !k->aside;
         if (k->aside) c->sloped = 0;
     }

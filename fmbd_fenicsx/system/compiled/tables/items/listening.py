@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from ..layout import TableLayout
 
 COORDINATE, ITS_RATE, PLACE_OF, VELOCITY_OF, ANGULAR, TURNED_BY = enumeration("COORDINATE").values()
+MOST_STAGES = enumeration("MOST_STAGES")["MOST_STAGES"]
 OTHERS, OWN_PLACE, OWN_RATE = enumeration("OTHERS").values()
 
 
@@ -138,17 +139,24 @@ class Listening:
             readings[-1].first, readings[-1].count = sum(r.count for r in readings[:-1]), reading.size
         array = array_of(structure("Reading", tables.dim), max(len(readings), 1))(*readings)
         addresses = {name: address for name, (_, address) in made.items()}
+        addresses["ahead"] = -1 if self._remembering else self._asked_ahead(count, acts)
         return store.structure(
             structure("Controllers", tables.dim)(readings=len(readings), reading=store.structure(array), **addresses)
         )
+
+    def _asked_ahead(self, sees: int, answers: int) -> int:
+        """Room for readings and efforts at points of a step, at the first batch that is acted on; its number."""
+        batch = self._acting[0][0].batch
+        batch.sees, batch.answers = sees, answers
+        self._ahead, batch.ahead = self.tables.store.array(np.zeros((MOST_STAGES, 1 + sees + answers)))
+        return int(batch.number)
 
     def remembered(self, *, integrals: bool) -> int | None:
         """The address of the structure Remembered; None where no memory is found at points. ``integrals``: of PID controllers."""
         store, asked = self.tables.store, sum(r.size for r in self.readings) if self._remembering else 0
         if not (integrals or self._remembering):
             return None
-        most = enumeration("MOST_STAGES")["MOST_STAGES"]
-        self._y, y = store.array(np.zeros((most, asked)))
+        self._y, y = store.array(np.zeros((MOST_STAGES, asked)))
         self._points = structure("Remembered", self.tables.dim)(integrals=integrals, asked=asked, y=y)
         return store.structure(self._points)
 
@@ -177,6 +185,15 @@ class Listening:
         """u of all controllers at what C has read."""
         for one in self.listeners:
             one.u[:] = one.law.with_memory(t, one.y)[0]
+
+    def efforts_ahead(self, count: int) -> None:
+        """The same at so many points of a step, where C has read."""
+        for point in self._ahead[:count]:
+            t, at, to = float(point[0]), 1, len(point) - sum([len(one.u) for one in self.listeners])
+            for one in self.listeners:
+                end, last = at + len(one.y), to + len(one.u)
+                point[to:last] = one.law.with_memory(t, point[at:end])[0]
+                at, to = end, last
 
     def slopes(self, t: float) -> None:
         """du/dy of all controllers there."""
