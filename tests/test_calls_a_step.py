@@ -162,9 +162,9 @@ def test_tangents_take_slopes_of_forces(scheme: Any) -> None:
 
 
 @compiled
-@pytest.mark.parametrize("kind", ["own coordinates", "curve", "arrays of time"])
+@pytest.mark.parametrize("kind", ["own coordinates", "of motion", "curve", "arrays of time"])
 def test_usable_answers_take_few_calls(kind: str) -> None:
-    """Own equations are asked at all stages in one call, joints told once in a row, arrays looked at by NumPy alone."""
+    """Own equations and controllers are asked at all stages in one call, joints told once in a row, arrays looked at by NumPy."""
     asked: list[float] = []
     found, each = calls_a_step(lambda: scene_of(kind, asked), fmbd.Radau(3, rtol=None), asked)
     assert found < AROUND + USABLE * each
