@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable, Hashable, Sequence
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
@@ -120,7 +120,7 @@ class Roads:
     # -- ways -------------------------------------------------------------------------------------------------------
     def _by_complex_step(self, i: int, x: Array, v: Array, t: float) -> Moving | None:
         """(1); None where the road takes no complex numbers, or drops parts of them."""
-        radius, components = float(self.radius[i]), cast("list[float]", v.tolist())
+        radius, components = float(self.radius[i]), [float(c) for c in v]
         speed = max(radius, *map(abs, components))  # of a radius in a second at least
         s = SHORT * radius / speed
         try:
