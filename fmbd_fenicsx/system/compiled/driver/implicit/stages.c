@@ -80,7 +80,7 @@ static void balance(const Stages *o, double *rows, double *columns)
     }
 }
 
-static const double LEAST_SOFT = 1e-13; /* as SOFT: above what roundoff leaves of pivots */
+static const double LEAST_SOFT = 1e-12; /* as SOFT: above what roundoff leaves of pivots */
 static const double FIRM = 1e-6;        /* most that a solution may leave open of the row that moves least */
 
 /* How soft dependent rows are at a frequency of one, by the masses. Rows that hold light bodies may together move heavy ones alone: that
