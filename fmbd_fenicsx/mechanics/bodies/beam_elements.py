@@ -6,6 +6,7 @@ static solution, of which shear = 12 EI / (GA l^2) is the share of shear; the th
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -65,6 +66,11 @@ def _bending_stiffness(EI: float, length: float, shear: float) -> Array:
     return EI / (a**3 * (1 + p)) * K
 
 
+def _products(a: Array, b: Array) -> Array:
+    """a_ip b_jq of columns p, q, (p, q, i, j)."""
+    return np.einsum("ip,jq->pqij", a, b)
+
+
 class BeamElements:
     """Sums over Gauss points and elements. Degrees of freedom of a node: (u, v, theta) or (u, v, w, theta_x, theta_y,
     theta_z).
@@ -120,24 +126,33 @@ class BeamElements:
 
         return U, V, slopes
 
+    def _points(self) -> Iterator[tuple[float, float]]:
+        """Gauss points of an element, in 0 ... 1, with their weights (m)."""
+        return zip(0.5 * (1 + GAUSS_X), 0.5 * self.a * GAUSS_W, strict=True)
+
     def inertia(self) -> tuple[Array, Array]:
         """S (d, n + 1) and T (n + 1, n + 1, d, d) in beam axes."""
         S = np.zeros((self.d, self.n + 1))
         T = np.zeros((self.n + 1, self.n + 1, self.d, self.d))
         # sections turn: their second moments go with V of (1)
         second = [self.s.rhoI, self.s.rhoI_y or 0.0]
-        for e in range(self.beam.elements):
-            cols = np.concatenate(([0], 1 + self.per * e + np.arange(2 * self.per)))
-            for x, w in zip(0.5 * (1 + GAUSS_X), 0.5 * self.a * GAUSS_W, strict=True):
-                U, V, _ = self.fields(e, x)
-                # only the unknowns of this element move it
-                U, V = U[:, cols], V[:, :, cols]
-                S[:, cols] += w * self.s.rhoA * U
+        first = np.concatenate(([0], 1 + np.arange(2 * self.per)))
+        moment, block = np.zeros((self.d, len(first))), np.zeros((len(first), len(first), self.d, self.d))
+        for x, w in self._points():
+            U, V, _ = self.fields(0, x)
+            U, V = U[:, first], V[:, :, first]
+            moment += w * self.s.rhoA * U
+            block += w * self.s.rhoA * _products(U, U)
+            for k in range(self.d - 1):
+                block += w * second[k] * _products(V[k], V[k])
 
-                block = self.s.rhoA * np.einsum("ia,jb->abij", U, U)
-                for k in range(self.d - 1):
-                    block += second[k] * np.einsum("ia,jb->abij", V[k], V[k])
-                T[np.ix_(cols, cols)] += w * block
+        # the others are the first one moved along the beam
+        mass, moved = self.s.rhoA * self.a, np.zeros_like(moment)
+        for e in range(self.beam.elements):
+            cols = np.concatenate(([0], first[1:] + self.per * e))
+            moved[0, 0] = e * self.a
+            S[:, cols] += moment + mass * moved
+            T[np.ix_(cols, cols)] += block + _products(moved, moment) + _products(moment + mass * moved, moved)
 
         return S, T
 
@@ -166,16 +181,17 @@ class BeamElements:
         """
         G = np.zeros((3, self.n, self.n))
         top = self.beam.length - self.origin
-        for e in range(self.beam.elements):
-            for x, w in zip(0.5 * (1 + GAUSS_X), 0.5 * self.a * GAUSS_W, strict=True):
-                # place along the beam; work of a unit axial force, int w (v'^2 + w'^2) dx
+        for x, w in self._points():
+            _, _, slopes = self.fields(0, x)
+            # work of a unit axial force, int w (v'^2 + w'^2) dx
+            slopes = slopes[:, : 2 * self.per]
+            work = w * slopes.T @ slopes
+            for e in range(self.beam.elements):
+                at = slice(self.per * e, self.per * (e + 2))
                 s = (e + x) * self.a - self.origin
-                _, _, slopes = self.fields(e, x)
-                work = w * slopes.T @ slopes
-
-                G[0] -= self.s.rhoA * (top - s) * work
-                G[1] -= self.s.rhoA * 0.5 * (top**2 - s**2) * work
-                G[2] += work
+                G[0, at, at] -= self.s.rhoA * (top - s) * work
+                G[1, at, at] -= self.s.rhoA * 0.5 * (top**2 - s**2) * work
+                G[2, at, at] += work
         return G
 
     def basis(self, K: Array, M: Array) -> Array:
@@ -240,7 +256,7 @@ class BeamElements:
 
         # inertia, stiffness and damping of the modes
         S = R @ S @ W
-        T = np.einsum("ap,abij,bq->pqij", W, np.einsum("xi,abij,yj->abxy", R, T, R), W, optimize=True)
+        T = (W.T @ (R @ T @ R.T).transpose(2, 3, 0, 1) @ W).transpose(2, 3, 0, 1)
         K = V.T @ K @ V
         D = beam.mass_damping * V.T @ M @ V + beam.stiffness_damping * K
         center = np.mean([beam.start, beam.end], axis=0, dtype=float)
@@ -253,7 +269,7 @@ class BeamElements:
         G = None
         if beam.stiffening:
             along = R[:, 0]
-            by_accel, by_spin, by_tension = np.einsum("ap,kab,bq->kpq", V, self.stiffening(), V, optimize=True)
+            by_accel, by_spin, by_tension = V.T @ self.stiffening() @ V
 
             # only their components along the beam strain it
             of_accel = np.multiply.outer(along, by_accel)
