@@ -103,15 +103,15 @@ def test_steps_in_one_end_where_they_are_told_and_have_the_order_of_the_scheme(
     np.testing.assert_allclose(alone.recorder.series["x"], made.recorder.series["x"], rtol=0, atol=1e-3 * apart[2])
 
 
-@pytest.mark.parametrize("rtol", [1e-4, 1e-5])
-def test_halves_of_steps_tell_what_changes_of_size_leave(rtol: float) -> None:
+@pytest.mark.parametrize(("rtol", "times"), [(1e-4, None), (1e-5, None), (1e-4, tuple(0.06 * k for k in range(101)))])
+def test_halves_of_steps_tell_what_changes_of_size_leave(rtol: float, times: tuple[float, ...] | None) -> None:
     """A pendulum that goes over the top drifts with the pattern of sizes, which no smaller tolerance repeats: 0.42 was stated."""
     body = fmbd.RigidBody("body", 1.0, 0.1, (1.0, 0.0), angular_velocity=8.0, velocity=(0.0, 8.0))
     pin = fmbd.revolute("pin", fmbd.ground, body, center=(0, 0))
     scene = fmbd.Scene("over the top", gravity=(0, -9.81))
     scene.add(body, pin)
     scene.sensor("angle", fmbd.angle(pin))
-    output = Output(progress=False, energy=False, estimate_error=True)
+    output = Output(progress=False, energy=False, estimate_error=True, times=times)
     run = fmbd.solve(scene, t_end=6.0, scheme=fmbd.GeneralizedAlpha(rtol=rtol), output=output)
 
     def turns(t: float, y: Any) -> list[float]:

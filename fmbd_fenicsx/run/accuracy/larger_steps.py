@@ -20,7 +20,7 @@ from ..problem import Problem
 from ..recording.output import Output
 from ..schedule import StepSchedule, far_side
 from ..single_run import Solved
-from .companion_runs import UNFIT, Compared, companion
+from .companion_runs import UNFIT, Compared, as_recorded, companion
 from .deviation import Deviation, unresolved
 from .equal_steps import FEWEST, NEAREST, TimeError, astray, between, compare_steps, of_order
 from .orders import MOST_LEFT, REGULAR, TOO_HIGH, expected_orders, resolved, seen_by_ends
@@ -49,17 +49,17 @@ def may_be_larger(problem: Problem, given: Compared, counters: Mapping[str, floa
     if refused > counters.get("rejected: error estimate", 0.0) or (refused and unseen) or (few and changes):
         return False
     scene = problem.scene
-    if not _known_steps(problem, given) or scene.contacts or scene.limits or seen_by_ends(problem.system):
+    known = problem.said.takes_given and _at_ends(given)
+    if not known or scene.contacts or scene.limits or seen_by_ends(problem.system):
         return False
     sizes = [np.diff(t) for t in _stretches(given)]
     smooth = all((h[1:-1] > SUDDEN * h[:-2]).all() for h in sizes)  # the last one ends where it has to
     return smooth and sum(map(len, sizes)) >= 2 * FEWEST
 
 
-def _known_steps(problem: Problem, given: Compared) -> bool:
-    """Whether the steps of a run are known, from its records at their ends, and its scheme takes others that it is given."""
-    output = given.recorder.output
-    return problem.said.takes_given and output.times is None and output.every == 1
+def _at_ends(given: Compared) -> bool:
+    """Whether a run is recorded at the ends of its steps: these are known then."""
+    return given.recorder.output.times is None and given.recorder.output.every == 1
 
 
 def _stretches(given: Compared) -> list[Array]:
@@ -86,35 +86,39 @@ def in_one(given: Compared, count: int) -> StepSchedule:
 
 def with_larger_steps(problem: Problem, given: Compared, count: int) -> Compared | None:
     """The run once more with so many steps in one; None where it does not end, or had to take others; collective."""
-    return _with_steps(problem, given, in_one(given, count), 1)
+    return _with_steps(problem, in_one(given, count), Output(energy=False, progress=False))
 
 
-def _with_steps(problem: Problem, given: Compared, schedule: StepSchedule, every: int) -> Compared | None:
-    """The same with the steps of a schedule, recorded at the ends of so many of them."""
+def _with_steps(problem: Problem, schedule: StepSchedule, wanted: Output) -> Compared | None:
+    """The same with the steps of a schedule and an output."""
     try:
-        made = companion(problem, schedule, Output(every=every, energy=False, progress=False))
+        made = companion(problem, schedule, wanted)
     except UNFIT as error:
         log.info("the run with steps like those of another one did not end: %s", error)
         return None
-    other = Compared(made.recorder, schedule, given.scheme)
+    other = Compared(made.recorder, schedule, problem.scheme)
     return None if _other_steps(other) else other
 
 
 def beyond_by_halves(problem: Problem, given: Compared) -> dict[str, Deviation]:
     """What a run with halves of the steps of a ``given`` one has beyond it, as far as its scheme is of second order at most:
-    tolerances that ask for as many steps of it share some with those, and drift with the pattern in which sizes change. Empty
-    where that is no way to tell its error; collective.
+    tolerances that ask for as many steps of it share some with those, and drift with the pattern in which sizes change. Where the
+    ends of steps were not recorded these are made once more. Empty where that is no way to tell its error; collective.
     """
-    if problem.scheme.order > 2 or not _known_steps(problem, given) or seen_by_ends(problem.system):
+    if problem.scheme.order > 2 or not problem.said.takes_given or seen_by_ends(problem.system):
         return {}
-    schedule = given.schedule
+    recorder, schedule = given.recorder, given.schedule
+    if not _at_ends(given):
+        known = companion(problem, schedule, Output(energy=False, progress=False))
+        given = replace(given, recorder=known.recorder)
     ends = set(schedule.marks) - set(schedule.stops)
     for t in _stretches(given):
         ends.update(map(float, t[1:-1]), map(float, 0.5 * (t[1:] + t[:-1])))
-    finer = _with_steps(problem, given, replace(schedule, marks=tuple(sorted(ends)), given=True), 2)
-    if finer is None or len(finer.recorder.times) != len(given.recorder.times):
+    halves = replace(schedule, marks=tuple(sorted(ends)), given=True)
+    finer = _with_steps(problem, halves, as_recorded(recorder, halves))
+    if finer is None:
         return {}
-    return {n: Deviation(given.recorder.times, x - given.recorder.series[n]) for n, x in finer.recorder.series.items()}
+    return {n: Deviation(recorder.times, x - recorder.series[n]) for n, x in finer.recorder.series.items()}
 
 
 def two_in_one(solved: Solved) -> Compared | None:
