@@ -21,14 +21,14 @@ from fmbd_fenicsx.run import single_run, time_loop
 from fmbd_fenicsx.run.accuracy import companion_runs, equal_steps, jumps_in_time, larger_steps
 from fmbd_fenicsx.run.accuracy.deviation import Deviation
 from fmbd_fenicsx.run.accuracy.search import (
-    dear_attempt,
+    attempts,
     next_attempt,
     shared_runs,
     shared_spaces,
     shared_tolerances,
     tolerance,
 )
-from fmbd_fenicsx.run.accuracy.search.failures import Failures
+from fmbd_fenicsx.run.accuracy.search.attempts import Failures
 from fmbd_fenicsx.run.schedule import StepSchedule
 from fmbd_fenicsx.schemes.onestep.alpha.alpha_stepper import AlphaStepper
 from fmbd_fenicsx.system.evaluation import Evaluation
@@ -438,7 +438,7 @@ def test_searches_whose_steps_resolve_no_vibration_end_in_the_spaces_that_are_th
 def test_an_attempt_far_dearer_than_all_before_is_foretold(monkeypatch: pytest.MonkeyPatch) -> None:
     """By the seconds of a step, or by how much dearer the last attempt became where the scheme chooses its steps."""
     said: list[str] = []
-    monkeypatch.setattr(dear_attempt, "note", said.append)
+    monkeypatch.setattr(attempts, "note", said.append)
     own, run = fmbd.Radau(3), SimpleNamespace(seconds={"steps": 0.5})
     before, last = (tolerance.Attempt(1e-2, 0, 0, 30.0, {}, seconds, "") for seconds in (0.5, 1.0))
     plan = tolerance._first(pendulum(), None, 1.0, 0.01)
@@ -446,7 +446,7 @@ def test_an_attempt_far_dearer_than_all_before_is_foretold(monkeypatch: pytest.M
     def foretell(tried: Any, steps: int, *history: tolerance.Attempt) -> list[str]:
         said.clear()
         made = replace(tried, schedule=tried.schedule.with_steps(steps)) if steps else tried
-        dear_attempt.tell_of_dear_attempt(tried, made, run, history)  # type: ignore[arg-type]
+        attempts.tell_of_dear_attempt(tried, made, run, history)  # type: ignore[arg-type]
         return said
 
     assert "5000 steps, is expected to take 25 s" in foretell(plan, 5000, before, last)[0]

@@ -1,4 +1,9 @@
-"""Lines of the table of a search: what its attempts were made with, what they state, what was done next."""
+"""Attempts of a search: the lines of its table, those that did not come to their end, and those that will take long.
+
+With equal steps the time loop of a run of n steps, which took s seconds, takes s n' / n with n' of them at least: finer spaces
+cost more. How many steps a smaller tolerance of a scheme asks for is not known where finer spaces bring faster vibrations;
+attempts are thought to become dearer by the ratio of the last two.
+"""
 
 from __future__ import annotations
 
@@ -7,9 +12,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ....errors import ConvergenceError, LinearSolveError, StabilityError
+from ....log import note
+from ...result import Run
 from .next_attempt import AttemptPlan, Looked
 
 SHOWN = 4  # jumps of loads in a line
+IN_VAIN = 2  # times in a row that steps a quarter as large get no farther: parts of single ones were tried, too
+LONG = 10.0  # s, which a user wants to be told of
+TIMES = 5.0  # the seconds of all attempts before
 
 
 @dataclass(frozen=True)
@@ -50,3 +61,42 @@ def of_jumps(plan: AttemptPlan, jumps: Sequence[float], seconds: float) -> Attem
     shown = ", ".join(f"{t:.6g} s" for t in jumps[:SHOWN]) + (", .." if len(jumps) > SHOWN else "")
     then = f"steps that end where loads jump: {shown}"
     return Attempt(plan.step, plan.meshes, plan.modes, np.inf, {}, seconds, then)
+
+
+@dataclass
+class Failures:
+    """How many runs failed, and how many of the last ones where the one before them did, to within one of its steps."""
+
+    count: int = 0
+    in_vain: int = 0
+    last: tuple[float, float] | None = None
+
+    def note(self, error: ConvergenceError | LinearSolveError) -> None:
+        """One more; those whose steps were too many parts, or too large for their scheme, tell nothing of smaller ones."""
+        before, self.last = self.last, None if isinstance(error, StabilityError) else error.halted
+        there = before is not None and self.last is not None and abs(self.last[0] - before[0]) <= before[1]
+        self.in_vain = self.in_vain + 1 if there else 0
+        self.count += 1
+
+    @property
+    def hopeless(self) -> bool:
+        """Whether no step gets farther."""
+        return self.in_vain >= IN_VAIN
+
+
+def tell_of_dear_attempt(tried: AttemptPlan, made: AttemptPlan | None, run: Run, history: Sequence[Attempt]) -> None:
+    """Say how long an attempt ``made`` after one ``tried``, with its ``run``, is expected to take, where that is far longer."""
+    if made is None:
+        return
+    last, spent = history[-1], sum(a.seconds for a in history)
+    if tried.steps:
+        expected = run.seconds["steps"] * made.steps / tried.steps
+    else:
+        expected = last.seconds**2 / history[-2].seconds if len(history) > 1 else 0.0
+    if expected <= max(LONG, TIMES * spent):
+        return
+    how = f"{made.steps} steps" if made.steps else f"rtol = {made.step:.1g}"
+    note(
+        f'scene "{made.scene.name}": the next attempt, {how}, is expected to take {expected:.0f} s or more, after {spent:.2g} s '
+        f"so far, which state {last.worst:.2g} times the tolerance. A larger tol, or a shorter run, takes less"
+    )

@@ -36,9 +36,7 @@ from ..deviation import Deviation
 from ..equal_steps import Orders, TimeError, astray, between, known_orders
 from ..estimates import usual_errors, warn_of_uncertain, with_damped, with_single_ends
 from ..jumps_at_records import jumps_at_records
-from .attempts import Attempt, of_jumps, of_space
-from .dear_attempt import tell_of_dear_attempt
-from .failures import Failures
+from .attempts import Attempt, Failures, of_jumps, of_space, tell_of_dear_attempt
 from .foreseen_steps import with_steps_foreseen
 from .next_attempt import (
     NEAR,
@@ -117,6 +115,7 @@ def _attempt(plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, *, wanted:
     if jumps := jumps_before(plan, shared):
         found.history.append(of_jumps(plan, jumps, clock.perf_counter() - begun))
         plan = ending_at(plan, jumps, shared)
+
     for _ in range(ATTEMPTS):
         try:
             plan_next = _one_more(plan, tol, shared, wanted=wanted, found=found)
@@ -137,6 +136,7 @@ def _attempt(plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, *, wanted:
             if plan_next.meshes in found.levels:
                 found.why = plan_next.finest
                 break
+
         if plan_next is None:
             break
         plan = plan_next
