@@ -109,6 +109,20 @@ def test_outputs_of_one_number_and_of_the_plane() -> None:
     assert H[2] == pytest.approx(H[0], rel=1e-9) and np.abs(H[1]).max() < 1e-12
 
 
+def test_reactions_of_roundoff_leave_other_outputs_as_they_are() -> None:
+    """An arm on a spring, whose pin carries next to nothing at rest: places answer as without their reaction beside them."""
+    arm = fmbd.RigidBody("arm", 1.0, 0.1, (0.3, 0.4))
+    pin = fmbd.revolute("pin", fmbd.ground, arm, center=(0, 0))
+    scene = fmbd.Scene("arm", gravity=(0.0, -1e-28))
+    scene.add(arm, pin, fmbd.effort("turn", fmbd.angle(pin), lambda t: 0.0))
+    scene.add(fmbd.joint_spring("spring", fmbd.angle(pin), stiffness=2.0, damping=0.1))
+    scene.sensor("place", fmbd.position(arm))
+    scene.sensor("load", fmbd.reaction_force("pin"))
+    place = np.array([-0.4, 0.3]) / (2.0 + 0.1j - 0.35)
+    found = fmbd.frequency_response(scene, ["turn"], ["place", "load"], [1.0])[0, :, 0]
+    assert found == pytest.approx(np.concatenate((place, place)), rel=1e-8)
+
+
 def test_rates_of_real_eigenvalues_are_printed() -> None:
     """A pendulum on its head falls with sqrt(m g l / (J + m l^2))."""
     rod = fmbd.RigidBody("rod", 3.0, 1.0, position=(0.0, 1.0))

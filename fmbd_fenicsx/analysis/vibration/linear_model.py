@@ -29,7 +29,7 @@ from ...system.scene.alike import alike
 from ...system.scene.scene import Scene
 from ..small_motions.basis import ProjectedSystem, projected, random_motion, reactions
 from ..small_motions.first_order import first_order
-from ..small_motions.perturbation import SIDES, Perturbation
+from ..small_motions.perturbation import FAST, SIDES, Perturbation
 from ..small_motions.small_memory import changed, memory_size, pushed_by
 from .modes import Linearised, eigenpairs, prepared, readable
 
@@ -215,9 +215,10 @@ def _model(
 
     counts = _what_counts(made, outputs)
     held = _reactions(made, motions, causes) if counts[REACTION] else [np.zeros(system.n_lam)] * len(motions)
+    most = _largest_multiplier(made, motions, held)
     answers = zip(motions, held, causes, strict=True)
     CD = np.array(
-        [_answer(made, motion, (reaction, change), outputs, counts) for motion, reaction, (_, change) in answers]
+        [_answer(made, motion, (reaction, change), most, outputs, counts) for motion, reaction, (_, change) in answers]
     )
     CD = CD.reshape(n_x + len(forces), len(outputs)).T
     return LinearModel(
@@ -251,37 +252,52 @@ def _read(made: Linearised, outputs: list[tuple[str, str, int]], cause: int, mov
 def _what_counts(made: Linearised, outputs: list[tuple[str, str, int]]) -> list[bool]:
     """Whether outputs hang on places, velocities, accelerations, multipliers, memories; collective. Places and memories may."""
     about, system = made.about, made.about.system
-    forces = np.random.default_rng(0).standard_normal(system.n_lam) * _largest_multiplier(made)
+    forces = np.random.default_rng(0).standard_normal(system.n_lam) * FAST
     moved = random_motion(about, 1) / about.time, random_motion(about, 2) / about.time**2, forces
     here = _read(made, outputs, 0, np.zeros(system.n_v))
     found = [bool((_read(made, outputs, i + 1, x) != here).any()) for i, x in enumerate(moved)]
     return [True, *found, True]
 
 
-def _largest_multiplier(made: Linearised) -> float:
-    """Of the state, or 1 where there is none."""
-    return float(np.abs(made.about.state.lam).max(initial=0.0)) or 1.0
+def _largest_multiplier(made: Linearised, motions: Sequence[Motion], held: Sequence[Array]) -> float:
+    """Of the state; where these are roundoff, that of reactions to motions through the model's length."""
+    lengths = [max(_lengths(made.about, motion)) for motion in motions]
+    most = max(
+        (np.abs(x).max(initial=0.0) / length for x, length in zip(held, lengths, strict=True) if length), default=0.0
+    )
+    return max(float(np.abs(made.about.state.lam).max(initial=0.0)), float(np.finfo(float).eps * most)) or 1.0
+
+
+def _lengths(about: Perturbation, motion: Sequence[Array]) -> list[float]:
+    """Largest way over the model's length by each of y, y' and y'' in the slow time of the scene."""
+    return [about.time**i * about.system.max_abs(x) / about.system.length for i, x in enumerate(motion)]
 
 
 def _answer(
     made: Linearised,
     motion: Motion,
     held: tuple[Array, Array],
+    most: float,
     outputs: list[tuple[str, str, int]],
     counts: list[bool],
 ) -> Array:
-    """Derivatives of the outputs for a motion, its reactions (n_lam,) and a change of the memory, where they hang on them."""
+    """Derivatives of the outputs for a motion, its reactions (n_lam,) and a change of the memory, where they hang on them.
+
+    ``most``: the largest multiplier that counts, N.
+    """
     about, (y, rate, accel) = made.about, motion
-    system, (reaction, change) = about.system, held
+    reaction, change = held
     parts = (y, about.velocity(y, rate), about.acceleration(y, rate, accel), reaction, change)
 
     # each cause by itself, in differences of fourth order: in steps for fast accelerations places are lost in roundoff
-    moved = [about.time**i * system.max_abs(x) / system.length for i, x in enumerate(parts[:REACTION])]
-    sizes = [*moved, np.abs(reaction).max(initial=0.0) / _largest_multiplier(made), np.abs(change).max(initial=0.0)]
+    moved = _lengths(about, parts[:REACTION])
+    sizes = [*moved, np.abs(reaction).max(initial=0.0) / most, np.abs(change).max(initial=0.0)]
     total = np.zeros(len(outputs))
     for cause, size in enumerate(sizes):
         if counts[cause] and size > 0.0:
             h = STEP / size
-            for side, weight in SIDES:
-                total += weight * _read(made, outputs, cause, side * h * parts[cause]) / (12.0 * h)
+            # in pairs: what does not move leaves nothing, however small the step
+            for side, weight in SIDES[::2]:
+                after, before = (_read(made, outputs, cause, way * h * parts[cause]) for way in (side, -side))
+                total += weight * (after - before) / (12.0 * h)
     return total
