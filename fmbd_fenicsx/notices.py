@@ -1,4 +1,4 @@
-"""Warnings where a user sees them: on standard error, each once, and in the report of the run that gave them.
+"""Warnings where a user sees them: on standard error, each once in a run, and in the report of the run that gave them.
 
 The package speaks through the logger ``fmbd_fenicsx``. A program that sets up logging (a handler on that logger or on the root)
 gets the warnings there, and only there. In a program that does not, :class:`OnStandardError` writes them: a warning that nobody
@@ -12,24 +12,37 @@ import re
 import sys
 import textwrap
 from collections.abc import Callable
+from typing import ClassVar
 
 ALIKE = 3  # warnings of one kind that are written in full
 WIDTH = 112
 EVERYONES, OURS = logging.getLogger(), logging.getLogger("fmbd_fenicsx")
 
 
+class Runs:
+    """The runs and analyses of this process: each is told its warnings anew, those within another one with that."""
+
+    begun: ClassVar[int] = 0
+    within: ClassVar[bool] = False  # one that is under way
+
+
 class OnStandardError(logging.Handler):
-    """Writes each warning once on rank 0, and of one kind (other times or names in the same sentence) the first three."""
+    """Writes each warning of a run once on rank 0, and of one kind (other times or names in the same sentence) the first three."""
 
     def __init__(self, rank: Callable[[], int]) -> None:
         super().__init__(logging.WARNING)
         self._rank = rank
+        self._run = Runs.begun
         self._said: set[str] = set()
         self._kinds: dict[str, int] = {}
 
     def emit(self, record: logging.LogRecord) -> None:
         """Write a warning, unless the program has handlers of its own."""
         text, kind = record.getMessage(), _kind(record)
+        if self._run != Runs.begun:
+            self._run = Runs.begun
+            self._said.clear()
+            self._kinds.clear()
         if _set_up_by_program() or text in self._said or self._rank() > 0:
             return
         self._said.add(text)

@@ -168,3 +168,18 @@ def test_a_potential_that_is_large_beside_what_a_step_changes_of_it(
         x, y = run[name].T
         assert np.abs(np.arctan2(y, x) - angle - rate * run.times).max() < 1e-5
     assert run.counters["newton_iterations"] <= 2 * run.counters["steps"] + 2
+
+
+def test_a_step_at_a_singular_position_is_told_as_one() -> None:
+    """Three equal cranks under a coupler of almost no mass: accelerations are told with their instant, as of no initial state."""
+    ends = np.array([np.cos(0.3), np.sin(0.3)])
+    coupler = fmbd.RigidBody("coupler", 1e-9, 1e-10, position=(*(ends + [1.0, 0.0]),))
+    scene = fmbd.Scene("cranks", gravity=(0.0, -9.81))
+    scene.add(coupler)
+    for k in range(3):
+        crank = fmbd.RigidBody(f"crank {k}", 1.0, 1 / 12, position=(*(0.5 * ends + [k, 0.0]),))
+        scene.add(crank, fmbd.revolute(f"pin {k}", fmbd.ground, crank, center=(k, 0.0)))
+        scene.add(fmbd.revolute(f"hinge {k}", crank, coupler, center=(*(ends + [k, 0.0]),)))
+    run = fmbd.solve(scene, t_end=0.9, dt=2e-3, scheme=fmbd.EnergyMomentum(), output=fmbd.Output(estimate_error=False))
+    told = [text for text in run.warnings if "accelerations" in text]
+    assert told and all("accelerations at t = 0.8" in text and "singular" in text for text in told), run.warnings

@@ -25,15 +25,20 @@ def followed(motion: Any, times: Any, length: float = 1.0) -> Follower:
     return follower
 
 
-def driven(*motions: Any, scheme: Any = None, t_end: float = 1.0, stops: Any = ()) -> fmbd.Run:
+def bar(*motions: Any, mass: float = 1.0, stops: Any = ()) -> fmbd.Scene:
     """A bar on a pin with drives on its angle."""
-    body = fmbd.RigidBody("bar", 1.0, 1 / 12, position=(0.5, 0.0))
+    body = fmbd.RigidBody("bar", mass, mass / 12, position=(0.5, 0.0))
     scene = fmbd.Scene("drives", gravity=(0.0, -9.81), breakpoints=stops)
     pin = fmbd.revolute("pin", fmbd.ground, body, center=(0.0, 0.0))
     scene.add(body, pin)
     for k, motion in enumerate(motions):
         scene.add(fmbd.drive(f"motor {k}", fmbd.angle(pin), motion))
-    return fmbd.solve(scene, t_end=t_end, dt=0.01 if scheme is None else None, scheme=scheme)
+    return scene
+
+
+def driven(*motions: Any, scheme: Any = None, t_end: float = 1.0, stops: Any = ()) -> fmbd.Run:
+    """A run of that bar."""
+    return fmbd.solve(bar(*motions, stops=stops), t_end=t_end, dt=0.01 if scheme is None else None, scheme=scheme)
 
 
 SMOOTH = {
@@ -208,11 +213,19 @@ def test_a_run_warns_of_a_kink_in_its_report_unless_it_is_stated() -> None:
     assert not any("kink" in text for text in driven(kink, stops=(0.5,)).warnings)
 
 
-def test_a_program_without_logging_sees_each_warning_once(monkeypatch: Any, capsys: Any) -> None:
+def test_a_program_without_logging_sees_each_warning_once_in_a_run(monkeypatch: Any, capfd: Any) -> None:
+    """Later runs are told anew, variants of one study together."""
     monkeypatch.setattr(logging.getLogger(), "handlers", [])
+
+    def kink(t: float) -> float:
+        return 0.1 * max(t - 0.4567, 0.0)
+
     for _ in range(2):
-        driven(lambda t: 0.1 * max(t - 0.4567, 0.0))
-    assert capsys.readouterr().err.count("kink at t = 0.4567 s") == 1
+        driven(kink)
+        assert capfd.readouterr().err.count("kink at t = 0.4567 s") == 1
+
+    fmbd.study.map(lambda mass: bar(kink, mass=mass), [1.0, 2.0, 3.0], t_end=1.0, dt=0.01)
+    assert capfd.readouterr().err.count("kink at t = 0.4567 s") == 1
 
 
 @pytest.mark.parametrize(

@@ -44,6 +44,13 @@ def test_placement_elements_and_limits(tmp_path: Path) -> None:
     assert np.allclose(robot.bodies["upper"].position, (0.25 * s, 0, 0.1 + 0.25 * c))
     assert robot.joints["shoulder"].limits == (-2.0, 2.0)
     assert robot.carrier["tool"] == "fore"
+    assert str(robot).splitlines() == [
+        '<Robot "arm" on base: bodies upper, fore; joints',
+        "  shoulder: revolute, base - upper",
+        "  elbow: continuous, upper - fore",
+        "  flange: fixed, fore - tool>",
+    ]
+    assert "array" not in str(robot.joints)
     scene = robot.scene(gravity=(0, 0, -9.81))
     assert sorted(scene.bodies) == ["fore", "upper"]
     assert sorted(scene.forces) == ["shoulder damping", "shoulder friction"]

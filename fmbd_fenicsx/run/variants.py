@@ -24,6 +24,7 @@ from ..errors import FmbdError, InputError, LawError, near, require
 from ..kernel_cache import cores
 from ..ranks import world_size
 from ..rotations import Array
+from ..system.scene.alike import alike
 from ..system.scene.scene import Scene
 from .recording.output import Output
 from .solve import solve
@@ -121,6 +122,7 @@ class Variants:
         return f"<{len(self)} variants>"
 
 
+@alike
 def run_variants(
     make: Callable[[Any], Scene], parameters: Sequence[Any], *, keep_failures: bool = False, **settings: Any
 ) -> Variants:

@@ -240,7 +240,10 @@ def _refined(
         if at_rest or stalled or size <= 1e-11 * system.max_abs(a):
             return a, lam
         last = size
-    raise ConvergenceError("The accelerations at the start did not converge: the initial deformation is too large.")
+    raise ConvergenceError(
+        f"The accelerations at t = {ev.t:.6g} s did not converge, corrections are still {last / typical:.1e} of them: a "
+        "deformation is too large, or the position is close to a singular one."
+    )
 
 
 def _renew_pressures(ev: Evaluation, a: Array, lam: Array, solver: StepSolver) -> None:

@@ -12,6 +12,7 @@ from functools import wraps
 from typing import Any, ParamSpec, TypeVar
 
 from ...agreement import refuse_differing
+from ...notices import Runs
 from ...ranks import world_size
 from .described import described
 from .scene import Scene
@@ -24,7 +25,10 @@ SHOWN = {"output.progress"}
 
 
 def alike(call: Callable[P, T]) -> Callable[P, T]:
-    """A collective function of a scene that refuses arguments which differ between ranks, before anything is computed."""
+    """A collective function of a scene that refuses arguments which differ between ranks, before anything is computed.
+
+    Each call is a run or an analysis with warnings of its own.
+    """
     signature = inspect.signature(call)
 
     @wraps(call)
@@ -37,7 +41,12 @@ def alike(call: Callable[P, T]) -> Callable[P, T]:
                 settings = {name: value for name, value in given.items() if name not in OF_RANK}
                 values = described(scene, **settings) | values_of_inputs(scene)
                 refuse_differing(comm, call.__name__, {k: v for k, v in values.items() if k not in SHOWN})
-        return call(*args, **kwargs)
+        within, Runs.within = Runs.within, True
+        Runs.begun += not within
+        try:
+            return call(*args, **kwargs)
+        finally:
+            Runs.within = within
 
     return compared
 

@@ -45,15 +45,15 @@ class RobotJoint:
     kind: str
     parent: str
     child: str
-    frame: Array
-    axis: Array
+    frame: Array = field(repr=False)
+    axis: Array = field(repr=False)
     limits: tuple[float, float]
     damping: float
     friction: float
     mimic: tuple[str, float] | None
 
 
-@dataclass
+@dataclass(repr=False)
 class Robot:
     """The links and joints of a URDF file, ready to become a scene.
 
@@ -69,6 +69,10 @@ class Robot:
     carrier: dict[str, str]
     surfaces: dict[tuple[str, str], str] = field(default_factory=dict)
     _made: dict[str, Joint] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        joints = [f"\n  {j.name}: {j.kind}, {j.parent} - {j.child}" for j in self.joints.values()]
+        return f'<Robot "{self.name}" on {self.root}: bodies {", ".join(self.bodies)}; joints{"".join(joints)}>'
 
     def make_elastic(
         self, link: str, body: FloatingBody, *, surfaces: Mapping[str, str], modes: int | None = None
