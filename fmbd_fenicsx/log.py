@@ -1,7 +1,7 @@
 """Logger of the package: what it tells a user, once and from one rank.
 
-The library writes to the logger ``fmbd_fenicsx``. Its warnings reach standard error, each once in a run, unless the program sets up
-logging of its own (:mod:`fmbd_fenicsx.notices`).
+The library writes to the logger ``fmbd_fenicsx``. Its warnings reach standard error, each once in a run, unless the program sets
+up logging of its own (:mod:`fmbd_fenicsx.notices`).
 """
 
 from __future__ import annotations

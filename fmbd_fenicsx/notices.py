@@ -27,7 +27,7 @@ class Runs:
 
 
 class OnStandardError(logging.Handler):
-    """Writes each warning of a run once on rank 0, and of one kind (other times or names in the same sentence) the first three."""
+    """Writes warnings of a run once each on rank 0, of one kind (other times or names in the same sentence) the first three."""
 
     def __init__(self, rank: Callable[[], int]) -> None:
         super().__init__(logging.WARNING)
