@@ -184,7 +184,7 @@ class Field(NodalField):
         nodal.scatter_forward()
 
     def stiffness(self, U: Array) -> Array:
-        """K U, (n d,) -> (n d,)."""
+        """K U, (n d,) -> (n d,), or of columns (n d, k)."""
         return self._times(self.K, U)
 
     def stiffness_at_rest(self, U: Array) -> Array:

@@ -275,7 +275,11 @@ class MixedField(Field):
         return self._p.x.array  # type: ignore[no-any-return]
 
     def stiffness(self, U: Array) -> Array:
-        """A U + B^T C^-1 B U, (n d,): the pressure follows the volume; with a pressure of its own A U of the stress-free body."""
+        """A U + B^T C^-1 B U, (n d,), or of columns: the pressure follows the volume; with a pressure of its own A U of the
+        stress-free body.
+        """
+        if U.ndim > 1:
+            return np.stack([self.stiffness(u) for u in U.T], axis=1) if U.shape[1] else U.copy()
         if self.carried:
             return self._times(self._unstressed, U)
         volume = self.volume_push(self.volume_rate(U))

@@ -205,8 +205,7 @@ class ConditionedBody:
                 self.destroy()
                 self._shifted(SHIFT * self.shift)
             u = U[:, left]
-            forces = np.stack([f.stiffness(x) for x in np.ascontiguousarray(u.T)], axis=1)
-            du, dmu = self._bordered(B[:, left] - forces - self.C @ mu[:, left], C[:, left] - f.total(self.C.T @ u))
+            du, dmu = self._bordered(B[:, left] - f.stiffness(u) - self.C @ mu[:, left], C[:, left] - f.total(self.C.T @ u))
             U[:, left] = u = u + du
             mu[:, left] += dmu
 
@@ -217,9 +216,12 @@ class ConditionedBody:
             left = left[~((change <= 1e-24 * size + floor[left]) | stays)]
         raise FmbdError(f'Body "{f.name}": static modes did not converge; the conditions do not hold the body.')
 
-    def static_modes(self) -> Array:
-        """The modes (2), (n d, c)."""
-        return self.solve_static(np.zeros_like(self.C), np.eye(self.C.shape[1]))
+    def static_modes(self, forces: Array | None = None) -> Array:
+        """The modes (2), (n d, c), and beside them the displacements under nodal ``forces`` (n d, k) with the conditions at rest."""
+        B = np.zeros((len(self.C), 0)) if forces is None else forces
+        at_rest = np.zeros((self.C.shape[1], B.shape[1]))
+        given = np.concatenate((np.eye(self.C.shape[1]), at_rest), axis=1)
+        return self.solve_static(np.concatenate((np.zeros_like(self.C), B), axis=1), given)
 
     def vibration_modes(self, count: int) -> tuple[Array, Array]:
         """The first ``count`` modes (1): omega (rad/s) ascending, and phi (n d, count)."""
@@ -322,14 +324,13 @@ def orthonormal_modes(field: Field, V: Array, conditions: Array) -> tuple[Array,
     """
     Z = rigid_fields(field)
     # sizes before rigid parts are taken out, so that what vanishes with them is seen
-    before = np.array([field.total(np.array(v @ field.mass(v.reshape(-1, field.dim)).ravel())) for v in V.T])
+    before = field.total((V * field.mass(V.reshape(field.n, -1)).reshape(V.shape)).sum(axis=0))
     V = V - Z @ np.linalg.solve(field.total(conditions.T @ Z), field.total(conditions.T @ V))
 
     def both(A: Array) -> tuple[Array, Array]:
         """A^T K A and A^T M A."""
-        KA = np.stack([field.stiffness(a) for a in np.ascontiguousarray(A.T)], axis=1)
-        MA = np.stack([field.mass(a.reshape(-1, field.dim)).ravel() for a in A.T], axis=1)
-        K, M = field.total(A.T @ KA), field.total(A.T @ MA)
+        MA = field.mass(A.reshape(field.n, -1)).reshape(A.shape)
+        K, M = field.total(np.stack((A.T @ field.stiffness(A), A.T @ MA)))
         return 0.5 * (K + K.T), 0.5 * (M + M.T)
 
     V = V / np.sqrt(np.maximum(before, 1e-300))
@@ -367,8 +368,8 @@ def _settled(field: Field, squares: Array, modes: Array) -> Array:
     moved = [field.mass(waves(field, draw).reshape(-1, field.dim)).ravel() for _ in range(max(map(len, groups)))]
     answers = field.total(modes.T @ np.stack(moved, axis=1))
 
-    turns = np.zeros((len(squares), len(squares)))
-    for group in groups:
+    turns = np.diag(np.where(answers[:, 0] < 0, -1.0, 1.0))
+    for group in (g for g in groups if len(g) > 1):
         q, r = np.linalg.qr(answers[group, : len(group)])
         turns[np.ix_(group, group)] = q * np.where(np.diag(r) < 0, -1.0, 1.0)
     return turns

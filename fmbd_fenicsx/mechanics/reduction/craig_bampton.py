@@ -84,12 +84,10 @@ class CraigBampton:
         body = ConditionedBody(field, C)
         try:
             fixed = _vibrations(body, self)
-            static = [body.static_modes()]
-            if self.inertia:
-                static.append(body.solve_static(np.stack(_inertia_patterns(field), axis=1)))
+            static = body.static_modes(np.stack(_inertia_patterns(field), axis=1) if self.inertia else None)
         finally:
             body.destroy()
-        return np.concatenate((*static, fixed), axis=1)
+        return np.concatenate((static, fixed), axis=1)
 
 
 @dataclass(frozen=True)
@@ -114,11 +112,18 @@ class RefinedBasis:
             C = independent(field, [moment_columns(field, s) for s in self.surfaces])
         room = field.n_global - C.shape[1]
         body = ConditionedBody(field, C)
-        static = body.solve_static(np.stack((*_inertia_patterns(field), *_load_patterns(field)), axis=1))
-        added = [body.static_modes()] if self.surfaces else []
+        added = [given]
+        if not self._static_are_given:
+            forces = np.stack((*_inertia_patterns(field), *_load_patterns(field)), axis=1)
+            added.append(body.static_modes(forces) if self.surfaces else body.solve_static(forces))
         added.append(body.vibration_modes(min(max(given.shape[1], 8), room))[1])
         body.destroy()
-        return np.concatenate((given, *added, static), axis=1)
+        return np.concatenate(added, axis=1)
+
+    @property
+    def _static_are_given(self) -> bool:
+        """Whether the basis that it contains is refined itself, for the same surfaces: their static displacements are in it."""
+        return isinstance(self.basis, RefinedBasis) and self.basis.surfaces == self.surfaces
 
 
 def _inertia_patterns(field: Field) -> list[Array]:
@@ -358,7 +363,7 @@ def _constants(body: Any, f: Field, K: Array, phi: Array, stress: Stiffening | N
     d, m = f.dim, phi.shape[1]
     Z = np.concatenate((f.X[:, :, None], phi.reshape(f.n, d, m)), axis=2)
     # the undeformed body and its modes are columns of one array
-    MZ = np.stack([f.mass(np.ascontiguousarray(Z[:, :, a])) for a in range(m + 1)], axis=2)
+    MZ = f.mass(Z.reshape(f.n, -1)).reshape(Z.shape)
     S, T = (f.total(x) for x in constants_of(Z, MZ))
     surfaces = {name: _surface(f, name, phi, stress, body.held_at) for name in f.mesh.surface_names}
 
