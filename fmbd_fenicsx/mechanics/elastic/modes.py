@@ -205,7 +205,9 @@ class ConditionedBody:
                 self.destroy()
                 self._shifted(SHIFT * self.shift)
             u = U[:, left]
-            du, dmu = self._bordered(B[:, left] - f.stiffness(u) - self.C @ mu[:, left], C[:, left] - f.total(self.C.T @ u))
+            du, dmu = self._bordered(
+                B[:, left] - f.stiffness(u) - self.C @ mu[:, left], C[:, left] - f.total(self.C.T @ u)
+            )
             U[:, left] = u = u + du
             mu[:, left] += dmu
 
@@ -217,7 +219,7 @@ class ConditionedBody:
         raise FmbdError(f'Body "{f.name}": static modes did not converge; the conditions do not hold the body.')
 
     def static_modes(self, forces: Array | None = None) -> Array:
-        """The modes (2), (n d, c), and beside them the displacements under nodal ``forces`` (n d, k) with the conditions at rest."""
+        """The modes (2), (n d, c), and beside them the displacements under nodal ``forces`` (n d, k), conditions at rest."""
         B = np.zeros((len(self.C), 0)) if forces is None else forces
         at_rest = np.zeros((self.C.shape[1], B.shape[1]))
         given = np.concatenate((np.eye(self.C.shape[1]), at_rest), axis=1)
