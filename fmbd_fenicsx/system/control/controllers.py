@@ -38,9 +38,8 @@ from ..sensors.sensor import Sensor
 from ..sensors.sensors import JointReading
 from .control_laws import PidLaw
 from .control_memory import ControllerMemory
-from .integrals import integral_of, memory_of
 from .law_with_memory import LawWithMemory
-from .memory_points import PointRule, StepError
+from .memory_points import PointRule, StepError, integral_of, memory_of
 from .readings import KINEMATIC, Reading
 
 FELT = 0.1  # of sizes in the model: what errors of memories may be to the motion, beside its own

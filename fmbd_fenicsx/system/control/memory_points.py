@@ -7,6 +7,8 @@ With the memories z_i at the points, and those z_(n-l) where the last steps ende
 is the rule that the scheme has for its motion: collocation of Radau, differences of BDF. So memories are of the order of the
 scheme. The error of a step, in the same form, is weighed by rtol times the largest memory so far. A memory that begins at zero
 has no size yet: what the motion feels of it as a tenth of its own tolerance is one, :func:`.unfelt`.
+
+The integral of a PID controller is kept by compiled steps as the structure PidMemory of ``tables.h``.
 """
 
 from __future__ import annotations
@@ -18,14 +20,17 @@ from functools import partial
 import numpy as np
 
 from ...errors import CallbackError
+from ...mechanics.forces.formulas import MEMORY
 from ...rotations import Array
 from .control_laws import Answers, differences
-from .control_memory import ControllerMemory
+from .control_memory import PAST, ControllerMemory
 
 SWEEPS = 30  # of all points
 # shares of a memory that Newton's iteration may leave, and along which slopes tell what the law would answer
 LEFT, NEAR = 1e-14, 1e-7
 FALLS = 0.3  # share of what was left that slopes of one point may leave of all
+# of PidMemory: numbers before those of the past, points at most
+HEAD, STAGES = 7, 7
 
 
 @dataclass(frozen=True)
@@ -177,3 +182,35 @@ def _share(change: Array, size: Array) -> float:
     """The largest change (k, m) over the sizes (m,)."""
     largest = np.abs(change).max(axis=0)
     return float(np.max(largest[largest > 0] / np.maximum(size[largest > 0], np.finfo(float).tiny), initial=0.0))
+
+
+# -- integrals of PID controllers, as compiled steps keep them ----------------------------------------------------
+def integral_of(kept: ControllerMemory, points: PointMemories, reach: float, least: float) -> Array:
+    """The numbers (1, MEMORY) of a memory, with what is known at points of the step under way; ``reach``: of its rate,
+    ``least``: of its size.
+    """
+    out, count = np.zeros(MEMORY), len(kept.past)
+    times, values, stages = out[HEAD:], out[HEAD + PAST :], out[HEAD + 2 * PAST :]
+    out[:HEAD] = (*_numbers(kept.z, kept.rate), kept.t, max(kept.size[0], least), reach, count, kept.before[0])
+    times[:count] = [t for t, _ in kept.past]
+    values[:count] = [z[0] for _, z in kept.past]
+
+    if points.kept is kept:
+        known = len(points.t)
+        stages[0] = known
+        stages[1 : 1 + known] = points.t
+        stages[1 + STAGES : 1 + STAGES + known] = points.z[:, 0]
+    return out[None]
+
+
+def memory_of(integral: Array, u: Array) -> ControllerMemory:
+    """The memory of these numbers, with the efforts u."""
+    z, rate, t, size, reach, count, before = (integral[0, i : i + 1].copy() for i in range(HEAD))
+    times, values = np.split(integral[0, HEAD : HEAD + 2 * PAST], 2)
+    past = tuple((float(at), values[i : i + 1].copy()) for i, at in enumerate(times[: int(count[0])]))
+    return ControllerMemory(float(t[0]), z, rate, u, 0, past, before, size, reach)
+
+
+def _numbers(*arrays: Array) -> list[float]:
+    """Of arrays of one number."""
+    return [float(x[0]) for x in arrays]

@@ -1,4 +1,5 @@
-"""A change of the size of steps: velocities miss their constraints by a multiple of h^2, by another one with another size,
+"""Steps of generalized-alpha one after the other, each of a size of its own: what belongs to a size changes with it, see (1) of
+:mod:`.variable_alpha`, and velocities miss their constraints by a multiple of h^2, by another one with another size,
 
     v  <-  v + dv,   (M + S K) dv + G^T mu = 0,   G dv = (r^2 - 1) (G v + g_t),     r = h_new / h_old                  (1)
 
@@ -12,7 +13,8 @@ the short steps of a start, forces of roundoff grew by r with each change, up to
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -23,6 +25,7 @@ from ....rotations import Array
 from ....system.compiled.declarations import constants
 from ....system.evaluation import Evaluation
 from ....system.layout import State
+from ....system.serialisation import Remembering, plain, worker
 from ....system.system import System
 from ...newton import known_gaps
 from .stretch import DEEPEST, Stretch
@@ -80,3 +83,47 @@ class SizeChange:
             except LinearSolveError:
                 self.stretch.lose(span, ev.t)
         return None
+
+
+class ResizedSteps(Remembering):
+    """``inner``, a stepper of constant steps, with the ``size`` (s) of its last step, None behind a start. Methods are
+    collective.
+    """
+
+    keeps: ClassVar = {"inner": worker, "size": plain()}
+
+    def __init__(self, inner: Any, change: SizeChange) -> None:
+        self.inner, self.change = inner, change
+        self.size: float | None = None
+        self._misses = bool(change.system.n_lam) and not inner.stabilised  # whether velocities miss their constraints
+
+    def step(self, h: float) -> None:
+        """One step of size h (s)."""
+        self.resize(h)
+        self.inner.advance(h)
+        self.size = h
+
+    def resize(self, h: float) -> None:
+        """Prepare for a step of size h (s)."""
+        inner, s = self.inner, self.inner.state
+        if inner.fresh or self.size is None or self.size == h:
+            return
+        v, jump = s.v, inner.A - s.a
+        if self._misses:
+            dv, jump = self.change.of(s, jump, (self.size, h))
+            v = v + dv
+        inner.go_on_from(replace(s, v=v), s.a + h / self.size * jump)
+
+    def arrive(self, t: float) -> None:
+        """Give the newest state its time, s."""
+        if self.inner.state.t != t:
+            self.inner.go_on_from(replace(self.inner.state, t=t))
+
+    @property
+    def held(self) -> Any:
+        """What the next step begins with, to be kept and put back where that step is refused."""
+        return self.inner.held, self.size, self.change.solver.pressures
+
+    @held.setter
+    def held(self, kept: Any) -> None:
+        self.inner.held, self.size, self.change.solver.pressures = kept

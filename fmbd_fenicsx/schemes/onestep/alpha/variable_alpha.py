@@ -60,8 +60,7 @@ from ...newton import Newton
 from ...stepping import UNOBSERVED, Observers, TimeStepper
 from .look_ahead import LookAhead
 from .quiet_times import CALM, QuietTimes
-from .resized_steps import ResizedSteps
-from .size_change import SizeChange
+from .size_change import ResizedSteps, SizeChange
 from .stretch import SAME, Stretch, parts
 
 if TYPE_CHECKING:
@@ -76,7 +75,7 @@ KEPT = 9  # sets of elastic factors: those of eight sizes, and that of the whole
 
 
 class VariableAlpha(TimeStepper):
-    """Chooses the sizes of steps, and asks whether these pass; :class:`.resized_steps.ResizedSteps` makes them."""
+    """Chooses the sizes of steps, and asks whether these pass; :class:`.size_change.ResizedSteps` makes them."""
 
     keeps: ClassVar = {
         "resized": worker,
