@@ -18,7 +18,7 @@ from ...rotations import Array, Motions
 from ..frames import Kinematics
 from ..joints.relative import RelativeCoordinates
 from ..joints.sums import Coordinate
-from .force_elements import Loads, MarkerTangent, ScalarLoads
+from .force_elements import Loads, ScalarLoads
 from .forces import Force
 from .formulas import MEMORY, Formula, table
 
@@ -95,10 +95,8 @@ class DryFrictionLoads(ScalarLoads):
         sticks = np.abs(self._trial(s, rate, t, which)) <= (1.0 - ON_LIMIT) * self.limit[which] - roundoff
         return self.k[which] * sticks, self.c[which] * sticks
 
-    def tangent(self, kin: Kinematics, t: float) -> MarkerTangent:
-        """With :meth:`slopes`, and the geometric stiffness of N."""
-        s, rate = self._state(kin)
-        return self._tangent_of(kin, self.effort(s, rate, t), self.slopes(ALL, s, rate, t))
+    def _all_slopes(self, s: Array, rate: Array, t: float) -> tuple[Array, Array]:
+        return self.slopes(ALL, s, rate, t)
 
     def first(self, ev: Any, state: Any) -> Array:
         """p of a joint at rest: where it is, without a force; of one that moves: where it is dragged, the force at its limit."""

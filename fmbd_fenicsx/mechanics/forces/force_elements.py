@@ -11,7 +11,8 @@ error names the force.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -217,6 +218,7 @@ class ScalarLoads(Loads):
         self.free = np.array([f.length for f in forces], dtype=float)
         self.own = np.flatnonzero([f.law is not None for f in forces])
         self._together: dict[bytes, LawsTogether] = {}  # by their numbers
+        self.line: Callable[[Array, Array], Array] | None = None  # N of s and s' in place of laws, see :meth:`straight`
 
     @property
     def markers(self) -> tuple[np.ndarray, ...]:
@@ -269,8 +271,20 @@ class ScalarLoads(Loads):
 
     def wrenches(self, kin: Kinematics, t: float) -> tuple[Array, ...]:
         """-N along the rows of the coordinate."""
-        N = self.effort(*self._state(kin), t)[:, None]
+        s, rate = self._state(kin)
+        N = (self.effort(s, rate, t) if self.line is None else self.line(s, rate))[:, None]
         return tuple(-N * row for row in self.relative.rows(kin))
+
+    @contextmanager
+    def straight(self, kin: Kinematics, t: float) -> Iterator[None]:
+        """Meanwhile efforts change from those of a configuration by its slopes alone."""
+        s0, rate0, N = self.scalar(kin, t)
+        k, c = self._all_slopes(s0, rate0, t)
+        self.line = lambda s, rate: N + k * (s - s0) + c * (rate - rate0)
+        try:
+            yield
+        finally:
+            self.line = None
 
     def scalar(self, kin: Kinematics, t: float) -> tuple[Array, Array, Array]:
         """s, s' and N."""
@@ -285,17 +299,17 @@ class ScalarLoads(Loads):
         stored = sum(f.law.stored(x) for f, x in zip(self.forces, s, strict=True) if isinstance(f.law, EffortLaw))
         return 0.5 * float((self.k * s**2)[linear].sum()) + float(stored)
 
-    def tangent(self, kin: Kinematics, t: float) -> MarkerTangent:
-        """Material stiffness k and damping c, and the geometric stiffness of N."""
-        s, rate = self._state(kin)
+    def _all_slopes(self, s: Array, rate: Array, t: float) -> tuple[Array, Array]:
+        """dN/ds and dN/ds' of all, linear ones too."""
         k, c = self.k.copy(), self.c.copy()
         if len(self.own):
             k[self.own], c[self.own] = self.slopes(self.own, s[self.own], rate[self.own], t)
-        return self._tangent_of(kin, self.effort(s, rate, t), (k, c))
+        return k, c
 
-    def _tangent_of(self, kin: Kinematics, N: Array, slopes: tuple[Array, Array]) -> MarkerTangent:
-        """The tangent of efforts N with dN/ds and dN/ds', and the geometric stiffness of N, (1)."""
-        k, c = slopes
+    def tangent(self, kin: Kinematics, t: float) -> MarkerTangent:
+        """Material stiffness k and damping c, and the geometric stiffness of N."""
+        s, rate = self._state(kin)
+        N, (k, c) = self.effort(s, rate, t), self._all_slopes(s, rate, t)
         r = np.concatenate(self.relative.rows(kin), axis=1)
         rr = r[:, :, None] * r[:, None, :]
         K, D = k[:, None, None] * rr, c[:, None, None] * rr

@@ -6,6 +6,7 @@ Both keep what the step needs of the mass matrix W that was taken last: its inve
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import replace
 from typing import Any, ClassVar
 
@@ -19,6 +20,7 @@ from ...linear.implicit.sparse_pencil import SparsePencil
 from ...linear.implicit.whole_pencil import WholeStructure
 from ...linear.residual import Judge
 from ...matrices import dense
+from ...mechanics.forces.force_elements import ScalarLoads
 from ...rotations import Array
 from ...system.compiled.declarations import constants
 from ...system.compiled.states.points import Metric
@@ -93,7 +95,11 @@ class DenseTangents(Remembering):
             self.direct(G)
 
         function = at_once(self.stiff.system, state.t, lower)
-        by_q, by_v = differences(self.system, function, (state.q, v, state.a))
+        with ExitStack() as laws:
+            for loads in self.stiff.system.forces:
+                if isinstance(loads, ScalarLoads):
+                    laws.enter_context(loads.straight(ev.kin, state.t))
+            by_q, by_v = differences(self.system, function, (state.q, v, state.a))
         # known exactly: M, and G on the level of each row
         by_a = np.zeros_like(by_v)
         by_a[:n] = dense(M)
