@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from test_line_body import line
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError
@@ -293,8 +294,9 @@ def test_beams_and_lines_of_own_equations_are_drawn() -> None:
     swing = fmbd.CoordinateBody(
         "swing", np.eye(1), lambda q, v, t: -q, (0.1,), outline=lambda q: [np.array([(0, 0), (np.sin(q[0]), 1.0)])]
     )
+    rope = line()
     scene = fmbd.Scene("lines", gravity=(0, -9.81))
-    scene.add(beam, swing, fmbd.revolute("pin", fmbd.ground, beam.surface("start"), center=(0, 0)))
+    scene.add(beam, swing, rope, fmbd.revolute("pin", fmbd.ground, beam.surface("start"), center=(0, 0)))
     scene.sensor("end", fmbd.sensors.position(beam.surface("end")))
     run = fmbd.solve(scene, t_end=0.3, dt=5e-3, output=few())
     drawing = draw(run)
@@ -303,6 +305,28 @@ def test_beams_and_lines_of_own_equations_are_drawn() -> None:
     assert np.ptp(piece(drawing, "beam").at(0)[:, 1]) == pytest.approx(section.thickness, rel=0.1)
     assert section.thickness == pytest.approx(0.05)
     assert piece(drawing, "swing").at(0)[-1, 0] == pytest.approx(np.sin(0.1))
+    assert np.ptp(piece(drawing, "line").at(0)[:, 0]) == pytest.approx(rope.length, rel=0.05)
+
+
+def test_wires_and_droppers_are_drawn_where_they_hang() -> None:
+    """One wire a twentieth of the span below the other; the dropper that is too long for its wires is flagged as slack."""
+    span, wire = 30.0, fmbd.Wire(1.35, 20e3, 195.0)
+    droppers = (fmbd.Dropper(1, 0, 10.0, 1e5, offset=0.01), fmbd.Dropper(1, 0, 20.0, 1e5, offset=-1.0))
+    wires = fmbd.Wires("w", span, 60, (wire, wire), (), droppers)
+    scene = fmbd.Scene("hung", gravity=(0, -9.81), settle=True)
+    scene.add(wires)
+    for number in (0, 1):
+        scene.sensor(f"wire {number}", fmbd.wire_height(wires, number, (10.0,)))
+    run = fmbd.solve(scene, t_end=0.02, dt=0.01, output=few(2))
+
+    drawing = draw(run)
+    for number in (0, 1):
+        x = piece(drawing, f"w, wire {number}").at(1)
+        middle = np.argmin(np.abs(x[:, 0] - 10.0))
+        assert x[middle, 1] == pytest.approx(run[f"wire {number}"][-1, 0] - number * span / 20, abs=1e-9)
+    taut, slack = (piece(drawing, f"w, dropper {k}") for k in (1, 2))
+    assert np.ptp(taut.at(1)[:, 0]) == 0.0 and np.ptp(taut.at(1)[:, 1]) == pytest.approx(span / 20, rel=0.02)
+    assert slack.flag.all() and not taut.flag.any()
 
 
 def test_a_drawing_needs_snapshots_and_something_to_paint() -> None:

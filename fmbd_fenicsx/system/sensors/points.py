@@ -22,10 +22,8 @@ from ...fem.material_points import MaterialPoint, check_point, material_point
 from ...mechanics.bodies.bodies import AbsoluteBody, FloatingBody
 from ...mechanics.reduction.craig_bampton import ReducedBody
 from ...rotations import Array, matvec
-from ..compiled.recording import Look, Recorded
-from ..evaluation import Evaluation
-from ..layout import Layout, State
-from .sensor import BodySensor, Sensor
+from ..layout import Layout
+from .sensor import BodySensor, OfStates, Sensor
 
 PAIRS = {2: ((0, 0), (1, 1), (0, 1)), 3: ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))}  # of symmetric tensors
 
@@ -76,7 +74,7 @@ def find(system: Layout, body: Any, X: Array) -> PointOfBody:
 
 
 @dataclass(frozen=True, eq=False)
-class PointSensor(BodySensor):
+class PointSensor(OfStates, BodySensor):
     """A quantity at the material point ``at`` (d,) of a body, read from one state or from many at a time."""
 
     at: tuple[float, ...] = ()
@@ -92,22 +90,6 @@ class PointSensor(BodySensor):
         if key not in system.cache:
             system.cache[key] = find(system, self.body, np.array(self.at))
         return system.cache[key]  # type: ignore[no-any-return]
-
-    def read(self, ev: Evaluation, state: State, marker: int) -> Array:
-        """The quantity, (size,); collective."""
-        return self.told(ev.system, state.q, state.v, state.a)
-
-    def looks_at(self, system: Layout, marker: int) -> Look:
-        """The states."""
-        return Look(states=True)
-
-    def series(self, seen: Recorded, marker: int) -> Array:
-        """The quantity in all records, (k, size)."""
-        return self.told(*seen.motion)
-
-    def told(self, system: Layout, q: Array, v: Array, a: Array) -> Array:
-        """The quantity, (.., size), in states q (.., n_q), v and a (.., n_v); collective."""
-        raise NotImplementedError
 
     def displacements(self, s: Layout, q: Array) -> Array:
         """Displacements (.., k, d) of the nodes of the point's cell, body axes; collective."""
@@ -261,41 +243,30 @@ def point_value(body: Any, quantity: Callable[[Any], Any], *, point: Sequence[fl
 
 
 @dataclass(frozen=True, eq=False)
-class Largest(BodySensor):
+class Largest(OfStates, BodySensor):
     """See :func:`largest`."""
 
     quantity: Callable[[Any], Any] = None  # type: ignore[assignment]
     degree: int = 2
 
-    def read(self, ev: Evaluation, state: State, marker: int) -> Array:
-        """The largest value over the body, (1,); collective."""
-        return self._told(ev.system, state.q[None])[0]
-
-    def looks_at(self, system: Layout, marker: int) -> Look:
-        """The states."""
-        return Look(states=True)
-
-    def series(self, seen: Recorded, marker: int) -> Array:
-        """The largest value in all records, (k, 1)."""
-        return self._told(*seen.motion[:2])
-
-    def _told(self, system: Layout, q: Array) -> Array:
-        """The largest value over the body in states q (k, n_q): (k, 1); collective."""
+    def told(self, system: Layout, q: Array, v: Array, a: Array) -> Array:
+        """The largest value over the body, (.., 1); collective."""
         key = f"largest {id(self)}"
         if key not in system.cache:
             system.cache[key] = self._prepare(system)
         k, u, expression, cells, basis = system.cache[key]
         mesh = u.function_space.mesh
 
-        found = np.full((len(q), 1), -np.inf)
-        for i in range(len(q)):
-            local = system.local_q(q[i], k)
+        states = q.reshape(-1, q.shape[-1])
+        found = np.full(len(states), -np.inf)
+        for i, one in enumerate(states):
+            local = system.local_q(one, k)
             nodal = local if basis is None else basis @ local
             u.x.array[: len(nodal)] = nodal
             u.x.scatter_forward()
             if len(cells):
                 found[i] = expression.eval(mesh, cells).max()
-        return np.asarray(np.max(mesh.comm.allgather(found), axis=0))
+        return np.asarray(np.max(mesh.comm.allgather(found), axis=0)).reshape(*q.shape[:-1], 1)
 
     def _prepare(self, system: Layout) -> tuple[Any, ...]:
         import basix

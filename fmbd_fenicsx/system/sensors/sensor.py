@@ -87,6 +87,26 @@ class Sensor:
         return ()
 
 
+class OfStates(Sensor):
+    """A quantity of states alone, told of one or of many at a time."""
+
+    def told(self, system: Layout, q: Array, v: Array, a: Array) -> Array:
+        """The quantity, (.., size), in states q (.., n_q), v and a (.., n_v); collective."""
+        raise NotImplementedError
+
+    def read(self, ev: Evaluation, state: State, marker: int) -> Array:
+        """The quantity, (size,); collective."""
+        return self.told(ev.system, state.q, state.v, state.a)
+
+    def looks_at(self, system: Layout, marker: int) -> Look:
+        """The states."""
+        return Look(states=True)
+
+    def series(self, seen: Recorded, marker: int) -> Array:
+        """The quantity in all records, (k, size); collective."""
+        return self.told(*seen.motion)
+
+
 @dataclass(frozen=True, eq=False)
 class BodySensor(Sensor):
     """A quantity of a whole body."""

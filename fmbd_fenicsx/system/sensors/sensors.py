@@ -20,7 +20,7 @@ from ..compiled.recording import Look, Recorded
 from ..evaluation import Evaluation
 from ..layout import Layout, State
 from ..tangents.foreshortened_ports import port_acceleration
-from .sensor import Sensor, named_part
+from .sensor import OfStates, Sensor, named_part
 
 
 class _Vector(Sensor):
@@ -255,7 +255,7 @@ class JointReading(Sensor):
 
 
 @dataclass(frozen=True, eq=False)
-class Coordinates(Sensor):
+class Coordinates(OfStates):
     """Coordinates of a :class:`~fmbd_fenicsx.CoordinateBody` (derivative 0), their rates (1) or second rates (2)."""
 
     body: str = ""
@@ -272,22 +272,12 @@ class Coordinates(Sensor):
         """The names that were given."""
         return self.names
 
-    def read(self, ev: Evaluation, state: State, marker: int) -> Array:
-        """The coordinates of the body, or their rates."""
-        return self._told(ev.system, state.q, state.v, state.a).copy()
-
-    def looks_at(self, system: Layout, marker: int) -> Look:
-        """The states."""
-        return Look(states=True)
-
-    def series(self, seen: Recorded, marker: int) -> Array:
-        """The coordinates in all records."""
-        return self._told(*seen.motion)
-
-    def _told(self, system: Layout, q: Array, v: Array, a: Array) -> Array:
+    def told(self, system: Layout, q: Array, v: Array, a: Array) -> Array:
+        """The coordinates of the body, or their rates, (.., n)."""
         for k, part in enumerate(system.parts):
             if part.name == self.body:
-                return system.local_v((v, a)[self.derivative - 1], k) if self.derivative else system.local_q(q, k)
+                found = system.local_v((v, a)[self.derivative - 1], k) if self.derivative else system.local_q(q, k)
+                return found.copy()
         own = near(self.body, (p.name for p in system.parts))
         raise InputError(
             f'Body "{self.body}" has no coordinates beside its place and rotation: fmbd.coordinates reads those of reduced '
