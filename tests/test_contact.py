@@ -266,6 +266,11 @@ def test_a_block_slides_on_a_body_that_it_drags_along(kind: str, scheme: Any) ->
 
 def patch(dim: int, cells: tuple[int, int], degree: int = 1) -> np.ndarray:
     """Pressure between two blocks with different meshes under a uniform pressure of 10."""
+    return pressed(dim, cells, degree)["pressure"][-1]
+
+
+def pressed(dim: int, cells: tuple[int, int], degree: int = 1) -> Any:
+    """The run of :func:`patch`; the upper block is given as slave."""
     size, lift = ((1.0, 0.5), (0.0, 0.5)) if dim == 2 else ((1.0, 1.0, 0.5), (0.0, 0.0, 0.5))
     low_name, high_name = ("bottom", "top") if dim == 2 else ("back", "front")
     up = np.eye(dim)[-1]
@@ -284,7 +289,9 @@ def patch(dim: int, cells: tuple[int, int], degree: int = 1) -> np.ndarray:
     scene.add(fmbd.fixed("base", fmbd.ground, low.surface(low_name)))
     scene.add(fmbd.prismatic("guide", fmbd.ground, high.surface(high_name), axis=up))
     scene.sensor("pressure", fmbd.contact_pressure(pair))
-    return fmbd.solve(scene, t_end=6.0, dt=0.5, scheme=fmbd.ContactMidpoint(theta=1.0))["pressure"][-1]
+    scene.sensor("force", fmbd.contact_force(pair))
+    scene.sensor("impulse", fmbd.contact_impulse(pair))
+    return fmbd.solve(scene, t_end=6.0, dt=0.5, scheme=fmbd.ContactMidpoint(theta=1.0))
 
 
 @pytest.mark.smoke
@@ -304,6 +311,14 @@ def test_patch_in_space(degree: int) -> None:
 
 def test_finer_side_becomes_the_slave() -> None:
     assert len(patch(2, (7, 4))) == 8
+
+
+@pytest.mark.parametrize("cells", [(4, 7), (7, 4)])
+def test_forces_are_those_on_the_slave_that_was_given(cells: tuple[int, int]) -> None:
+    """Whichever side has the smaller facets, the lower block pushes the upper one up."""
+    run = pressed(2, cells)
+    assert run["force"][-1] == pytest.approx((0.0, 10.0), rel=1e-9, abs=1e-9)
+    assert run["impulse"][-1, 1] > 0.0
 
 
 # -- obstacles that move -------------------------------------------------------------------------------------

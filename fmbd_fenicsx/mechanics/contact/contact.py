@@ -147,6 +147,7 @@ class Contact(ScenePart):
     restitution: float = 0.0
     search: float | None = None
     redistribute_mass: bool = True
+    exchanged: bool = False  # whether the slave is the master that was given
 
     @cached_property
     def bounces(self) -> bool:
@@ -176,7 +177,8 @@ def contact(
     Args:
         name: what messages, sensors and the plan call the pair.
         slave: a surface of an elastic body, points of a rigid one, or a rod (:func:`along`).
-        master: an obstacle, a shape at rest in world axes, or a surface of another elastic body.
+        master: an obstacle, a shape at rest in world axes, or a surface of another elastic body; candidates are nodes of the
+            surface with the smaller facets, whichever is given first.
         friction: Coulomb's coefficient mu; 0 carries no friction rows.
         restitution: ratio e of normal velocities after and before an impact; read by the Moreau scheme only.
         search: distance (m) up to which points are candidates; by default chosen from the speed and the size.

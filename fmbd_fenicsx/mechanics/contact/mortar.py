@@ -125,7 +125,7 @@ class MortarPair:
         law: Any,
     ) -> None:
         self.name, self.slave, self.master = name, sides[0], sides[1]
-        self.friction, self.search = law.friction, law.search
+        self.friction, self.search, self.exchanged = law.friction, law.search, law.exchanged
         self.bounces, self.massless = law.bounces, law.massless
         self.facets = facets
         self.order = [_match(f, s, traces[s.trace]) for f, s in zip(facets, sides, strict=True)]

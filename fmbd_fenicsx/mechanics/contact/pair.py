@@ -70,6 +70,7 @@ class Pair:
     bounces: bool  # its points carry inertia that cannot be taken off: those of a rigid body, or of modes
 
     searches: ClassVar[bool] = False  # whether :meth:`update` changes what its gaps are
+    exchanged: ClassVar[bool] = False  # the slave is the one that was given
 
     @property
     def moving(self) -> bool:

@@ -162,7 +162,7 @@ def oriented(c: Contact) -> Contact:
         h[1],
         h[0],
     )
-    return replace(c, slave=c.master, master=c.slave)
+    return replace(c, slave=c.master, master=c.slave, exchanged=True)
 
 
 def _facet_size(surface: Surface) -> float:

@@ -97,7 +97,7 @@ class ContactSensor(Sensor):
 
     def read(self, ev: Evaluation, state: State, marker: int) -> Array:
         """The quantity of the last step."""
-        return self._told(forces_of(state))
+        return self._told(forces_of(state), ev.system)
 
     def looks_at(self, system: Layout, marker: int) -> Look:
         """Nothing beside what is told of contacts; gaps of elastic surfaces, where nothing touches, are found from states."""
@@ -105,18 +105,19 @@ class ContactSensor(Sensor):
 
     def series(self, seen: Recorded, marker: int) -> Array:
         """The quantity of all records."""
-        return self._told(seen.contact)
+        return self._told(seen.contact, seen.system)
 
-    def _told(self, c: ContactForces) -> Array:
+    def _told(self, c: ContactForces, system: Layout) -> Array:
         """The quantity of a step, (size,), or of many, (k, size)."""
         if self.quantity == "work":
             return c.work.copy()
         # arrays may hold many records in front
-        on = c.of(self.contact)
+        on, pair = c.of(self.contact), c.names.index(self.contact)
+        given = -1.0 if system.contacts.pairs[pair].exchanged else 1.0
         if self.quantity == "force":
-            return np.asarray(c.force[..., on, :].sum(-2))
+            return np.asarray(given * c.force[..., on, :].sum(-2))
         if self.quantity == "impulse":
-            return c.impulse[..., c.names.index(self.contact), :].copy()
+            return np.asarray(given * c.impulse[..., pair, :])
         if self.quantity == "pressure":
             return c.pressure[..., on].copy()
         return np.asarray(c.gap[..., on].min(-1, initial=np.inf, keepdims=True))
@@ -148,14 +149,14 @@ def gaps_within(system: Layout, states: Sequence[State]) -> Array | None:
 
 
 def contact_force(contact: Any) -> Sensor:
-    """Resultant force of a pair on its slave, world axes, N, (d,); it acts in the middle of the last step, so there is none at
-    the start.
+    """Resultant force of a pair on the slave that was given, world axes, N, (d,); it acts in the middle of the last step, so
+    there is none at the start.
     """
     return ContactSensor(None, "N", None, _name(contact), "force")
 
 
 def contact_impulse(contact: Any) -> Sensor:
-    """Impulse of a pair on its slave since the start, world axes, N s, (d,)."""
+    """Impulse of a pair on the slave that was given since the start, world axes, N s, (d,)."""
     return ContactSensor(None, "N s", None, _name(contact), "impulse")
 
 
