@@ -277,6 +277,24 @@ def test_few_steps_of_a_scheme_that_changes_its_order_are_not_made_larger() -> N
     assert two_in_one(made_by(fmbd.BDF(rtol=1e-7), pendulum())) is not None
 
 
+@pytest.mark.parametrize("compiled", [True, False])
+def test_given_steps_in_which_frames_turn_too_far_end_their_run(
+    compiled: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two in one of a fast top: it was made to its end in parts of steps, with as many as the run itself, and told nothing."""
+    if not compiled:
+        monkeypatch.setattr(MarchingStepper, "stride", lambda self, h: 0.0)
+    body = fmbd.RigidBody("top", 1.0, (0.1, 0.2, 0.3), (0.0, 0.0, 0.0), angular_velocity=(0.5, 0.0, 60.0))
+    scene = fmbd.Scene("fast top")
+    scene.add(body)
+    scene.sensor("spin", fmbd.angular_velocity(body))
+    solved = made_by(fmbd.BDF(rtol=1e-5), scene)
+    wanted = Output(energy=False, progress=False)
+    with pytest.raises(ConvergenceError, match="is too large"):
+        companion_runs.companion(solved.problem, in_one(solved.compared, 2), wanted)
+    assert two_in_one(solved) is None
+
+
 def test_given_steps_of_elastic_bodies_have_factors_where_their_size_comes_often(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

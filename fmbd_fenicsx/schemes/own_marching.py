@@ -10,6 +10,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from ..errors import ConvergenceError
 from ..rotations import Array
 from ..system.compiled.march import CHOSEN
 from ..system.compiled.own_steps import OwnRoom
@@ -52,7 +53,14 @@ class OwnMarch(MarchingStepper):
         return size if self.state.t + size < next_sample(self.system) else 0.0
 
     def _landing(self, h: float, limit: float) -> float:
-        """The size (s) of a step for which so much is proposed, of at most ``limit``, on the way to where steps have to end."""
+        """The size (s) of a step for which so much is proposed, of at most ``limit``, on the way to where steps have to end.
+
+        Raises ConvergenceError where a given one is larger: the run is to have no others.
+        """
+        if self.control.given and h < limit * (1.0 - 1e-10):
+            raise ConvergenceError(
+                f"The step of {limit:g} s at t = {self.state.t:.9g} s is too large: {h:g} s can be made."
+            )
         return lands(min(h, limit), max(limit, self.until - self.state.t))
 
     def _end(self, limit: float) -> float:

@@ -48,7 +48,8 @@ static double left_for(OwnSteps *c, const Block *now)
 }
 
 /* The size of the next step from a state on, where so much is proposed and no more than ``most`` possible. What is left to the time
-   that is hit is no step of its own where it is roundoff. NEWTON where there is none, SIZE where Python makes that step. */
+   that is hit is no step of its own where it is roundoff. NEWTON where there is none, SIZE where Python makes that step, or says
+   that a given one is too large. */
 static int own_size(const OwnSteps *c, const Block *now, double proposed, double most, double *size)
 {
     const double left = c->ahead - *now->t;
@@ -56,6 +57,7 @@ static int own_size(const OwnSteps *c, const Block *now, double proposed, double
     if (c->first > 0.0) h = c->first * pow(10.0, floor(c->places_of_decade * log10(c->longer * h / c->first)) / c->places_of_decade);
     h = fmin(h, c->longest);
     if (h >= left * (1.0 - 1e-10)) h = left;
+    else if (c->given != 0.0) return SIZE;
     else if (h > 0.5 * left) h = 0.5 * left;
     *size = h;
     if (*now->t + h == *now->t) return NEWTON;
