@@ -159,7 +159,10 @@ def test_halving_and_stop(kind: type[Heater]) -> None:
     again = guarded.advance(0.25)
     assert again.t == pytest.approx(found.t + 0.25) and guarded.watch.rejections == 2
     hot = guard(kind, state, 0.0, system)
-    with pytest.raises(ConvergenceError, match=r"gains 0\.2.* J from nothing.*EnergyMomentum"):
+    with pytest.raises(
+        ConvergenceError,
+        match=r"gains 0\.2.* J from nothing.*turns, or one so stiff.*roundoff of its places.*EnergyMomentum",
+    ):
         hot.advance(1.0)
     assert np.isfinite(hot.state.v).all()
 
