@@ -109,6 +109,18 @@ def test_pressures_turn_with_the_surfaces_of_a_column(frame: str, reduced: bool)
     assert flutter.max() > 1.0
 
 
+def test_loads_cost_the_directions_in_which_they_act(rod_mesh: Callable[..., Any]) -> None:
+    """A load along one axis, along the other by roundoff: beside d + d^2 of inertia, stress of that one."""
+    scene, along = fmbd.Scene("pulled"), (2e4 * np.cos(0.5 * np.pi), 2e4)
+    scene.add(blade(rod_mesh(dim=2, h=0.1, height=0.1)).with_(loads=(traction("tip", along),)))
+    system, _, _ = scene.build()
+    stiffening = system.part("blade")[1].stiffening
+    bent = stiffening.bent(np.random.default_rng(1).standard_normal(len(stiffening.columns)))
+
+    acts = np.abs(bent).max(axis=0) > 0
+    assert acts.tolist() == [True] * 6 + [False, False, True, True]
+
+
 @pytest.mark.parametrize("kind", ["floating", "reduced", "beam"])
 def test_refused_without(rod_mesh: Callable[..., Any], caplog: Any, kind: str) -> None:
     """Above the first frequency the softened blade diverges: a warning, then an error that says what to do."""

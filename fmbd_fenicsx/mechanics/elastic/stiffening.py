@@ -40,6 +40,8 @@ from ..frames import polar
 from .foreshortening import Shortening, rigid_ports
 from .second_order import DisplacementMoments, SecondOrder, load_moment
 
+NOTHING = 1e-12  # nodal forces in one direction below this share of the largest are roundoff of normals
+
 
 def geometric_form(form: Any, v: Any, w: Any) -> Any:
     """``form`` with every grad(v) replaced by grad(w)^T grad(v), v its test function."""
@@ -75,14 +77,17 @@ def resultant_columns(field: Field, surface: str) -> Array:
 
 
 def products(matrices: Sequence[Any], d: int, U: Array) -> Array:
-    """Columns A U (n d, count) of scalar PETSc matrices that act on each of d components alike; collective."""
-    out = np.empty((len(U) // d, d, len(matrices)))
+    """Columns A U (n d, count) of scalar PETSc matrices that act on each of d components alike, the first of them not None: those
+    that are None are zero; collective.
+    """
+    out = np.zeros((len(U) // d, d, len(matrices)))
     x, y = matrices[0].createVecs()
     for c in range(d):
         x.array[:] = U[c::d]
         for k, A in enumerate(matrices):
-            A.mult(x, y)
-            out[:, c, k] = y.array
+            if A is not None:
+                A.mult(x, y)
+                out[:, c, k] = y.array
     x.destroy()
     y.destroy()
     return out.reshape(len(U), len(matrices))
@@ -157,9 +162,10 @@ class Stiffening:
         body = ConditionedBody(field, conditions)
 
         def static(loads: Any) -> Array:
-            """u_0 (n d, k) of nodal forces; those that are zero cost nothing."""
+            """u_0 (n d, k) of nodal forces; those that are zero, but for roundoff beside the others, cost nothing."""
             found = np.stack([f.ravel() for f in loads], axis=1)
-            acts = field.total(np.abs(found).sum(axis=0)) > 0
+            sizes = field.total(np.abs(found).sum(axis=0))
+            acts = sizes > NOTHING * sizes.max()
             out = np.zeros_like(found)
             out[:, acts] = body.solve_static(found[:, acts])
             return out
@@ -217,8 +223,9 @@ class Stiffening:
 
     @cached_property
     def _matrices(self) -> list[Any]:
-        """K_g for each of :meth:`coefficients` on one component; collective."""
-        return [self._scalar(u) for u in self._all.T]
+        """K_g for each of :meth:`coefficients` on one component, None where nothing acts; collective."""
+        acts = self.field.total(np.abs(self._all).sum(axis=0)) > 0
+        return [self._scalar(u) if some else None for u, some in zip(self._all.T, acts, strict=True)]
 
     def bent(self, U: Array) -> Array:
         """Columns K_g U (n d, :attr:`count`) for each of :meth:`coefficients`; collective."""
