@@ -185,9 +185,10 @@ def test_a_line_whose_motion_is_held_is_assembled_once(monkeypatch: pytest.Monke
     system, state, _ = scene.build()
     plain = HeldState(system, state).rows(np.linspace(0.0, 1.0, 50))
 
-    use_driver(system)
     force = LinePart.force
     monkeypatch.setattr(LinePart, "force", lambda *given: (asked.append(1), force(*given))[1])
+    use_driver(system)
+    asked.clear()
     held = HeldState(system, state)
     np.testing.assert_allclose(held.rows(np.linspace(0.0, 1.0, 50)), plain, rtol=1e-12, atol=1e-9)
     assert len(asked) == 1
