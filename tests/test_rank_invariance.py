@@ -30,10 +30,14 @@ def test_two_ranks_give_the_figures_of_one() -> None:
     [
         (lambda body: body, fmbd.GeneralizedAlpha(0.8)),
         (lambda body: body.with_(frame=fmbd.Attached("left"), stiffening=True), fmbd.GeneralizedAlpha(0.8)),
+        (
+            lambda body: body.with_(stiffening="left", loads=[fmbd.pressure("right", 0.1)]),
+            fmbd.GeneralizedAlpha(0.8),
+        ),
         (lambda body: body.reduced(modes=3), fmbd.GeneralizedAlpha(0.8)),
         (lambda body: fmbd.AbsoluteBody("one", body.mesh, density=1.0, elastic=LAW), fmbd.Radau(rtol=None)),
     ],
-    ids=["floating", "stiffened", "modes", "absolute, Radau"],
+    ids=["floating", "stiffened", "pressed", "modes", "absolute, Radau"],
 )
 def test_ranks_that_hold_nothing_of_a_body_go_along(made: Callable[..., Any], scheme: Any) -> None:
     """A body of one cell."""

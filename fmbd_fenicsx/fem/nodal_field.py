@@ -185,6 +185,10 @@ class NodalField:
             out[:, k] = y.array
         return out
 
+    def mass_columns(self, U: Array) -> Array:
+        """M U for many displacements, in columns (n d, k) or by nodes (n, d, k); collective."""
+        return times_columns(self.M, U.reshape(self.n, self.dim * U.shape[-1])).reshape(U.shape)
+
     def mass_matrix(self) -> Any:
         """The scalar mass matrix on each component of vectors (aij), which the field keeps; collective."""
         if self._mass_matrix is None:

@@ -326,12 +326,12 @@ def orthonormal_modes(field: Field, V: Array, conditions: Array) -> tuple[Array,
     """
     Z = rigid_fields(field)
     # sizes before rigid parts are taken out, so that what vanishes with them is seen
-    before = field.total((V * field.mass(V.reshape(field.n, -1)).reshape(V.shape)).sum(axis=0))
+    before = field.total((V * field.mass_columns(V)).sum(axis=0))
     V = V - Z @ np.linalg.solve(field.total(conditions.T @ Z), field.total(conditions.T @ V))
 
     def both(A: Array) -> tuple[Array, Array]:
         """A^T K A and A^T M A."""
-        MA = field.mass(A.reshape(field.n, -1)).reshape(A.shape)
+        MA = field.mass_columns(A)
         K, M = field.total(np.stack((A.T @ field.stiffness(A), A.T @ MA)))
         return 0.5 * (K + K.T), 0.5 * (M + M.T)
 

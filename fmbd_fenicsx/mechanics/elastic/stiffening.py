@@ -129,7 +129,7 @@ class TurnedLoads:
         found = []
         for (load, b), A in zip(self.loads, self._matrices, strict=True):
             more = times_columns(A, U)
-            turned, moved = (x.reshape(f.n, d, -1) for x in (more, U))
+            turned, moved = (x.reshape(f.n, d, U.shape[1]) for x in (more, U))
             moment = [axial(f.X.T @ turned[:, :, k] + moved[:, :, k].T @ b) for k in range(U.shape[1])]
             frame = np.concatenate((turned.sum(0), np.reshape(moment, (U.shape[1], -1)).T))
             found.append((load, more, np.asarray(f.total(frame))))

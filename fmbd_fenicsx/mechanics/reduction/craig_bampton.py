@@ -363,7 +363,7 @@ def _constants(body: Any, f: Field, K: Array, phi: Array, stress: Stiffening | N
     d, m = f.dim, phi.shape[1]
     Z = np.concatenate((f.X[:, :, None], phi.reshape(f.n, d, m)), axis=2)
     # the undeformed body and its modes are columns of one array
-    MZ = f.mass(Z.reshape(f.n, -1)).reshape(Z.shape)
+    MZ = f.mass_columns(Z)
     S, T = (f.total(x) for x in constants_of(Z, MZ))
     surfaces = {name: _surface(f, name, phi, stress, body.held_at) for name in f.mesh.surface_names}
 
