@@ -48,6 +48,8 @@ class SmoothMotion:
         if not self.complete:
             place = self.place(t)
             return place, *self.rates(t, place)
+
+        # what is seen at a glance to be usable
         if self.raw is not None and not AGREEMENTS:
             try:
                 value = self.raw(t)
@@ -57,6 +59,7 @@ class SmoothMotion:
                     return value
             except Exception:
                 pass  # with a name below
+
         value = self.function(t)
         s = self._checked(value, t)
         self._require(len(s) == 3, s, t)

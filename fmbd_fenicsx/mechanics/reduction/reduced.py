@@ -240,6 +240,7 @@ class ReducedPart(Part):
         factor = load.factor(motion.t, self.name)
         if not load.follower:
             B = motion.R.T @ B  # nodal forces in body axes
+
         out[1][:] -= factor * np.trace(B[1:], axis1=1, axis2=2)
         if stress is not None:
             axes = factor * (np.eye(d) if load.follower else motion.R)
@@ -247,11 +248,14 @@ class ReducedPart(Part):
             out[1][:] += np.tensordot(axes, bent, 2)
             if turned is None:
                 out[0][d:] -= load_moment(axes, bent @ p[1:])
+
+        # what turns with the material
         if turned is not None:
             more = factor * (turned @ p[1:])
             out[0][:d] -= motion.R @ more[:d]
             out[0][d:] -= more[d : len(out[0])]
             out[1][:] -= more[len(out[0]) :]
+
         if not load.internal:
             out[0][:d] -= factor * (motion.R @ self._load_sum(load, motion.R))
             out[0][d:] -= factor * axial((B[0] if load.carried else np.tensordot(p, B, 1)).T)

@@ -19,9 +19,8 @@ from .next_attempt import LEAST, NEAR, SURE, AttemptPlan, finer_steps, looking, 
 from .shared_spaces import SharedSpaces
 from .shares import WHOLE, Tolerance, largest_share
 
-LEAVES = (
-    4e-3  # of the range of a sensor: what a look is thought to differ by from an attempt, where nothing is known of it
-)
+# of the range of a sensor: what a look is thought to differ by from an attempt, where nothing is known of it
+LEAVES = 4e-3
 
 
 def with_steps_foreseen(plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, wanted: Output) -> AttemptPlan:

@@ -18,7 +18,7 @@ typedef struct {
 } Lower;
 
 typedef struct {
-    int n, m, size, levels, frequencies, points, first, corrections; /* size: unknowns; first: of the levels of rows; */
+    int n, m, size, levels, frequencies, points, first, corrections; /* size: unknowns; first: of the levels of rows */
     int frames;                     /* of n, those of twists of bodies */
     double pulls[2];                /* of the form, see Form */
     int *start, *row, *order;       /* K by columns; order of elimination */
