@@ -104,12 +104,12 @@ class CompiledCalls:
     def _bound(self) -> None:
         """Tell a stepper that chooses its steps how long these may be, and where they have to end, or to begin at the latest."""
         if not self.equal:
-            self.stepper.unwrapped.bound(self.schedule.largest, self._ends(self.stepper.state.t), self._last)
+            self.stepper.bound(self.schedule.largest, self._ends(self.stepper.state.t), self._last)
 
     def _ends(self, t: float) -> tuple[float, ...]:
         """Where steps of the next march from a time on have to end, s."""
         ends = self.schedule.ends(t)
-        return ends if self.stepper.unwrapped.passes_marks else ends[:1]
+        return ends if self.stepper.passes_marks else ends[:1]
 
     def _limit(self, t: float) -> float:
         """Size of the steps of a march from a time on, or how far it may go, s."""
@@ -128,7 +128,7 @@ class CompiledCalls:
         recorder.take_kept(tape, self.stepper, done)
         self._began = kept.began
         if tape.c.crossed:
-            recorder.begin_step(done + made, self.stepper.unwrapped.origin, self._began)
+            recorder.begin_step(done + made, self.stepper.origin, self._began)
 
     def _tape(self) -> Tape | None:
         """Room for the records of a march; None where it cannot make them."""

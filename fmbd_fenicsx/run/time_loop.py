@@ -293,7 +293,7 @@ class Loop:
         equal, state = self.schedule.steps, stepper.state
         seen = stepper.evaluation or self.problem.system.at(state.t, state.q, state.v)
         try:
-            balanced.check(seen, state, h if equal else state.t - stepper.unwrapped.origin.t)
+            balanced.check(seen, state, h if equal else state.t - stepper.origin.t)
         except ConvergenceError:
             if equal:
                 raise
@@ -372,7 +372,7 @@ class Loop:
         """What the march has left."""
         progress = self.progress
         if self.problem.system.contacts is not None:
-            self.recorder.struck = np.sort(self.stepper.unwrapped.struck)
+            self.recorder.struck = np.sort(self.stepper.struck)
         return Marched(
             recorder=self.recorder,
             state=self.stepper.told(self.state),

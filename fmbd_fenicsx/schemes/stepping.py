@@ -95,11 +95,6 @@ class TimeStepper(Remembering):
         return {}
 
     @property
-    def unwrapped(self) -> TimeStepper:
-        """The scheme's own stepper, where others are around it: those that halve steps, or watch the energy."""
-        return self
-
-    @property
     def evaluation(self) -> Evaluation | None:
         """The system in the newest state, where it is known."""
         return None
@@ -189,8 +184,12 @@ class TimeStepper(Remembering):
         raise NotImplementedError(f"{_kind(self)} keeps no steps.")
 
 
+# what a stepper around another one does not say itself
+LISTED = "path struck passes_marks kinks origin earlier told between within bound restart note stride tape step_back"
+
+
 class Around(TimeStepper):
-    """A stepper around another one, ``stepper``, which answers what this one does not say itself."""
+    """A stepper around another one, ``stepper``, which answers what this one does not say itself of :data:`LISTED`."""
 
     stepper: TimeStepper
 
@@ -199,32 +198,23 @@ class Around(TimeStepper):
         """The state of the stepper."""
         return self.stepper.state
 
-    @property
-    def path(self) -> str:  # type: ignore[override]
-        """How the stepper computes."""
-        return self.stepper.path
+    @state.setter
+    def state(self, state: State) -> None:
+        self.stepper.state = state
 
-    @property
-    def unwrapped(self) -> TimeStepper:
-        """The scheme's own."""
-        return self.stepper
 
-    @property
-    def earlier(self) -> State | None:
-        """That of the stepper."""
-        return self.stepper.earlier
+class _Within:
+    """An attribute of the stepper within."""
 
-    def told(self, state: State) -> State:
-        """As that of the stepper."""
-        return self.stepper.told(state)
+    def __init__(self, name: str) -> None:
+        self.name = name
 
-    def stride(self, h: float) -> float:
-        """That of the stepper."""
-        return self.stepper.stride(h)
+    def __get__(self, around: Around, kind: type) -> Any:
+        return getattr(around.stepper, self.name)
 
-    def tape(self, judged: Openness) -> Tape | None:
-        """That of the stepper."""
-        return self.stepper.tape(judged)
+
+for _name in LISTED.split():
+    setattr(Around, _name, _Within(_name))
 
 
 def made_stepper(scheme: Any, *given: Any, gives_up: bool = False) -> TimeStepper:

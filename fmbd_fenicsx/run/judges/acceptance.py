@@ -99,7 +99,7 @@ def attempt_judged(
 
         # back to the state before: a quarter of the step that the scheme chose
         h = 0.25 * made
-        stepper.unwrapped.state = before
+        stepper.state = before
         stepper.restart(before.t)
     return None
 

@@ -177,10 +177,6 @@ class Guarded(Around):
         """Those of the stepper, and the steps taken back."""
         return {**self.stepper.counters, "energy_rejections": self.watch.rejections}
 
-    def restart(self, t: float) -> None:
-        """Go on behind a kink at t."""
-        self.stepper.restart(t)
-
     def stride(self, h: float) -> float:
         """That of the stepper; none while steps have to be smaller than it likes."""
         return self.stepper.stride(h) if h <= self.largest else 0.0
@@ -192,10 +188,6 @@ class Guarded(Around):
         if made:
             self.local_error, self.watch.time = self.stepper.local_error, self.state.t
         return made
-
-    def step_back(self) -> None:
-        """Go back as the stepper does."""
-        self.stepper.step_back()
 
     def advance(self, h: float) -> State:
         """One step of at most h; collective."""

@@ -134,7 +134,7 @@ class EventWatch:
 
     def passed(self, stepper: TimeStepper, told: Recorded | None) -> None:
         """Take note that nothing is met in compiled steps, but in the newest one where C has ``told`` of it."""
-        self.before = stepper.state if told is None else stepper.unwrapped.origin
+        self.before = stepper.state if told is None else stepper.origin
 
     def look(self, n: int, after: State, stepper: Any, told: Recorded | None = None) -> State | None:
         """Call what belongs to the crossings of step n in their order; the state at which the run ends, or None. ``told``: what
@@ -150,10 +150,10 @@ class EventWatch:
 
         # with error control steps are long: a value may cross and come back within one
         # and at an impact it turns
-        inner = sorted((*(before.t + x * span for x in self.places), *stepper.unwrapped.kinks))
+        inner = sorted((*(before.t + x * span for x in self.places), *stepper.kinks))
         seen = [*(self._moment(at(t)) for t in inner), self._moment(after, told)]  # each evaluated once for all events
         values = [self.crossings["before"].copy(), *(self._values(x) for x in seen)]
-        if self.places and not stepper.unwrapped.kinks:
+        if self.places and not stepper.kinks:
             least, where = _dips(np.array(values))
             turns = [self._moment(at(before.t + x * span)) for x in np.unique(where[least < 0.0])]
             known = sorted(

@@ -33,7 +33,7 @@ def state_between(
     before began with, where forces are smooth.
     """
     before, after = ends
-    found = stepper.unwrapped.between(t) if stepper.unwrapped.state is after else None
+    found = stepper.between(t) if stepper.state is after else None
     if found is None:
         found = dense_output.within(system, before, after, t, earlier)
     contact = getattr(found, "contact", None)
@@ -52,10 +52,10 @@ def states_within(steps: KeptSteps, stepper: TimeStepper, roundoff: float) -> St
     """
     inside = steps.t[:, 0] < steps.after.t[:, 0] - roundoff
     if inside.all():
-        return stepper.unwrapped.within(steps)
+        return stepper.within(steps)
     found = steps.after
     if inside.any():
-        found.put(inside, stepper.unwrapped.within(steps.chosen(inside)))
+        found.put(inside, stepper.within(steps.chosen(inside)))
     return found
 
 

@@ -57,16 +57,13 @@ from ...consistent import behind_a_jump
 from ...control import ESTIMATE, FADING, Statistics, StepControl, first_step, moves, turn_limit
 from ...error_norm import NormOfWays
 from ...newton import Newton
-from ...stepping import UNOBSERVED, Observers, TimeStepper
+from ...stepping import UNOBSERVED, Around, Observers, TimeStepper
 from .look_ahead import LookAhead
 from .quiet_times import CALM, QuietTimes
 from .size_change import ResizedSteps, SizeChange
 from .stretch import SAME, Stretch, parts
 
 if TYPE_CHECKING:
-    from ....system.compiled.kept import KeptSteps
-    from ....system.compiled.tape import Openness, Tape
-    from ....system.layout import States
     from .compiled_control import CompiledControl
     from .generalized_alpha import GeneralizedAlpha
 
@@ -74,7 +71,7 @@ KEPT = 9  # sets of elastic factors: those of eight sizes, and that of the whole
 (KEEPS,) = constants("marches/control.c", "KEEPS")
 
 
-class VariableAlpha(TimeStepper):
+class VariableAlpha(Around):
     """Chooses the sizes of steps, and asks whether these pass; :class:`.size_change.ResizedSteps` makes them."""
 
     keeps: ClassVar = {
@@ -102,8 +99,8 @@ class VariableAlpha(TimeStepper):
         self.quiet = QuietTimes(self.look)
         bends = bool(self.norm.deforming or system.elements)
         change = SizeChange(system, solver, self.stretch, self._weights, bends)
-        self.inner: Any = self._steps(state)
-        self.resized = ResizedSteps(self.inner, change)
+        self.stepper: Any = self._steps(state)
+        self.resized = ResizedSteps(self.stepper, change)
         self.control = StepControl(3.0)
         self.stats = Statistics()
         self.local_error = self.error = 0.0  # the largest since :meth:`advance`, and that of the newest step
@@ -128,15 +125,6 @@ class VariableAlpha(TimeStepper):
         return made
 
     @property
-    def state(self) -> State:
-        """The newest state."""
-        return self.inner.state  # type: ignore[no-any-return]
-
-    @state.setter
-    def state(self, state: State) -> None:
-        self.inner.state = state
-
-    @property
     def evaluation(self) -> Evaluation | None:
         """The system in the newest state; None where elements have a memory, which moves on later."""
         s = self.state
@@ -151,27 +139,15 @@ class VariableAlpha(TimeStepper):
         """Work so far, rejections by their cause."""
         counted = {"steps", "rejections"} | {f"rejected: {cause}" for cause in self.stats.rejected}
         own = {k: x for k, x in self.stats.as_dict().items() if k in counted}
-        return {**self.inner.counters, **own}
+        return {**self.stepper.counters, **own}
 
     def restart(self, t: float) -> None:
         """Go on behind a jump of forces: consistent accelerations and multipliers, a new stretch, small steps at first."""
         here, h = replace(self.state, t=t), self.resized.size or 0.0
-        self.inner.begin_anew(lambda: behind_a_jump(self.system, here, self.solver, h=h))
+        self.stepper.begin_anew(lambda: behind_a_jump(self.system, here, self.solver, h=h))
         self.resized.size = self.proposed = None
         self.stretch.forget()
         self.control.h_old = self.peak = 0.0
-
-    def between(self, t: float) -> State | None:
-        """The state at a time t (s) within the last step."""
-        return self.inner.between(t)  # type: ignore[no-any-return]
-
-    def note(self) -> bool:
-        """As :meth:`TimeStepper.note`."""
-        return self.inner.note()  # type: ignore[no-any-return]
-
-    def within(self, steps: KeptSteps) -> States:
-        """As :meth:`TimeStepper.within`."""
-        return self.inner.within(steps)  # type: ignore[no-any-return]
 
     def take_given(self, sizes: Array) -> None:
         """As :meth:`.OwnMarch.take_given`: each of these steps is a stretch of its own."""
@@ -185,7 +161,7 @@ class VariableAlpha(TimeStepper):
             alike = int(np.argmin(np.append(np.abs(sizes - sizes[0]) <= SAME * sizes[0], False)))
             ends = (ends[alike - 1],)
             longest = (ends[0] - self.state.t) / alike
-        super().bound(longest, ends, last)
+        TimeStepper.bound(self, longest, ends, last)
 
     # -- one accepted step --------------------------------------------------------------------------------------------
     def advance(self, h: float) -> State:
@@ -277,7 +253,7 @@ class VariableAlpha(TimeStepper):
         """The parts of the stretch that these steps are; None where there are none."""
         s = self.state
         self.stretch.follow(s.t, min(h, self.longest))
-        if self.proposed is None or self.resized.size is None or not (self._marches and self.inner.is_driven):
+        if self.proposed is None or self.resized.size is None or not (self._marches and self.stepper.is_driven):
             return None
         proposed = self.control.proposal(self.proposed, h)
         level = self.stretch.coarsest(min(proposed, turn_limit(self.system, s)), s.t)
@@ -286,7 +262,7 @@ class VariableAlpha(TimeStepper):
     @property
     def _marches(self) -> bool:
         """Whether compiled code knows all memories."""
-        return bool(self.inner.keeps_memories) or not self.system.keepers
+        return bool(self.stepper.keeps_memories) or not self.system.keepers
 
     def march(self, h: float, steps: int, observers: Observers = UNOBSERVED) -> int:
         """Up to so many accepted steps, each at most h (s), in one call of compiled code, as :meth:`advance` makes them; fewer
@@ -314,7 +290,7 @@ class VariableAlpha(TimeStepper):
         control.lend(self.stretch, level, self.quiet, until=self.until, last=self.last)
         c = control.c
         c.proposed, c.size, c.error, c.peak = self.proposed, self.resized.size, self.error, self.peak
-        made: int = self.inner.controlled(size, steps, control, observers)
+        made: int = self.stepper.controlled(size, steps, control, observers)
         control.take(self.stretch, self.state.t)
         if self.control.given:  # sums of many steps are off by their roundoff
             self.resized.arrive(float(self._given[np.abs(self._given - self.state.t).argmin()]))
@@ -338,23 +314,9 @@ class VariableAlpha(TimeStepper):
             self._compiled = CompiledControl(self.norm, self.control, **of)
         return self._compiled
 
-    @property
-    def path(self) -> str:  # type: ignore[override]
-        """How the stepper of constant steps computes."""
-        return str(self.inner.path)
-
-    def tape(self, judged: Openness) -> Tape | None:
-        """Room for records of :meth:`march`."""
-        return self.inner.tape(judged)  # type: ignore[no-any-return]
-
-    @property
-    def origin(self) -> State:
-        """As :meth:`TimeStepper.origin`."""
-        return self.inner.origin  # type: ignore[no-any-return]
-
     def step_back(self) -> None:
         """Go back to the beginning of the newest step, from where smaller ones begin anew."""
-        before = self.inner.begun[0]
+        before = self.stepper.begun[0]
         self.state = before
         self.restart(before.t)
 
@@ -382,14 +344,14 @@ class VariableAlpha(TimeStepper):
 
     def _error(self, h: float) -> float:
         """The norm of (2), or that of (3) where it is larger."""
-        e = self.inner.error(h)
+        e = self.stepper.error(h)
         self.norm.update(self.state, h)  # the way of this step counts
         still = np.zeros_like(e)
         error = self.norm(h, e, still)
-        if self.drags and error <= 1.0 and self.norm(h, self.inner.unfiltered(h), still) > 1.0:
-            error = self.norm(h, self.inner.error(h, replace(self._weights(h), cd=0.0)), still)
-        missed = self.inner.missed_speeds(h) if self.laws and error <= 1.0 else None
+        if self.drags and error <= 1.0 and self.norm(h, self.stepper.unfiltered(h), still) > 1.0:
+            error = self.norm(h, self.stepper.error(h, replace(self._weights(h), cd=0.0)), still)
+        missed = self.stepper.missed_speeds(h) if self.laws and error <= 1.0 else None
         if missed is None or not self.norm.of_speeds(h, missed) > max(error, CALM):
             return error  # less is what Newton's iteration leaves of accelerations
-        ends = self.inner.begun[0], self.state
-        return max(error, *(self.norm.of_speeds(h, self.inner.filtered(h, missed, s)) for s in ends))
+        ends = self.stepper.begun[0], self.state
+        return max(error, *(self.norm.of_speeds(h, self.stepper.filtered(h, missed, s)) for s in ends))
