@@ -116,3 +116,25 @@ def test_loads_that_turn_are_raised_step_by_step() -> None:
     found = fmbd.equilibrium(pushed_rod(80.0, elements=2), path=fmbd.LoadSteps(tuple(np.linspace(0.1, 1.0, 10))))
     assert found["tip"][1] == pytest.approx(0.63, abs=0.05)
     assert repr(found).startswith('<Equilibrium of "pushed": t = 1 s, 11 points of a path, ')
+
+
+@pytest.mark.parametrize("push", [1e3, 1e6, 1e10])
+def test_a_soft_spring_gives_way_by_many_lengths_of_the_model(push: float) -> None:
+    """1 N/m along a slanted slider: pushes of more than some 1e5 m were refused, the body could "move freely"."""
+    box = fmbd.RigidBody("box", 1.0, 1.0)
+    slide = fmbd.prismatic("slide", fmbd.ground, box, center=(0.3, 0.1), axis=(0.6, 0.8))
+    scene = fmbd.Scene("push")
+    scene.add(box, slide, fmbd.joint_spring("spring", fmbd.displacement(slide), stiffness=1.0))
+    scene.add(fmbd.force("push", box, (push, 0.0)))
+    scene.sensor("way", fmbd.displacement("slide"))
+    np.testing.assert_allclose(fmbd.equilibrium(scene)["way"], 0.6 * push, rtol=1e-9)
+
+
+@pytest.mark.parametrize("push", [1e-9, 1.0])
+def test_a_free_body_is_refused_however_small_the_push(push: float) -> None:
+    """One of 1e-9 N was an equilibrium in silence: without any stiffness increments were forces taken for lengths."""
+    box = fmbd.RigidBody("box", 1.0, 1.0)
+    scene = fmbd.Scene("free")
+    scene.add(box, fmbd.force("push", box, (push, 0.0)))
+    with pytest.raises(fmbd.errors.ConvergenceError, match="can move freely"):
+        fmbd.equilibrium(scene)

@@ -8,7 +8,8 @@ multipliers that leave least of the balance f,
 is Newton's increment where H is definite, and goes down where it is not, away from saddles. H holds the stress of reactions, and
 masses do not enter: a string whose masses differ by 1e9, of which a gradient in the metric of inertia sees the light ones only,
 takes the iterations of one with equal masses. An increment is taken when it does no work against the forces, by the trapezoidal
-rule, and is at most as long as the last ones that did not.
+rule, and is at most as long as the last ones that did not, and as a share of the model or of the way so far: soft springs give
+way by many of its lengths.
 
 Source: Dauphin et al., Identifying and attacking the saddle point problem, doi:10.48550/arXiv.1406.2572, on |h|.
 """
@@ -34,8 +35,8 @@ from .static_newton import StaticNewton, StaticPoint
 
 MOST = 300  # coordinates up to which matrices are dense
 TRIES, CLOSING = 200, 12  # increments, and iterations that close the constraints after each
-FIRST, SHORTEST = 0.2, 1e-6  # length of increments, over the model's length
-CLOSED = 1e-12  # lengths of the model by which constraints may stay open
+FIRST, SHORTEST = 0.2, 1e-6  # length of increments, over that of the model and of the way from the start
+CLOSED = 1e-12  # over that length, by which constraints may stay open
 FLAT = 1e-13  # stiffness of a motion, over the largest, that is roundoff
 
 
@@ -53,22 +54,22 @@ def descend(newton: StaticNewton, start: StaticPoint, t: float) -> StaticPoint:
     """
     system, spin = newton.residual.system, newton.residual.spin
     assert not isinstance(spin, BodySpin)
-    place = _Place(system, t, _closed(system, t, start.q, np.ones(system.n_v)), spin)
+    place = _Place(system, t, _closed(system, t, start.q, np.ones(system.n_v), system.length), spin, start.q)
     radius, last = FIRST * system.length, np.inf
     use_driver(system)
 
     for _ in range(TRIES):
         newton.iterations += 1
-        d = place.increment(radius)
-        size = system.max_abs(d)
-        if size <= newton.tolerance * system.length or (size > 0.5 * last and size <= 1e-9 * system.length):
+        d, whole = place.increment(radius)
+        size, length = system.max_abs(d), place.length
+        if whole and (size <= newton.tolerance * length or (size > 0.5 * last and size <= 1e-9 * length)):
             return StaticPoint(place.q, place.lam)
 
         share, there = _below(place, d)
         if there is None:
             break
         # after a shorter one the next is no longer than that
-        radius = min(2.0 * radius if share == 1.0 else share * size, FIRST * system.length)
+        radius = min(2.0 * radius if share == 1.0 else share * size, FIRST * place.length)
         place, last = there, share * size
     raise ConvergenceError(f"increments of {last:.1e} m, the last of a descent")
 
@@ -76,10 +77,11 @@ def descend(newton: StaticNewton, start: StaticPoint, t: float) -> StaticPoint:
 def _below(place: _Place, d: Array) -> tuple[float, _Place | None]:
     """The share of an increment that leads down and after which the constraints can be closed, and where it leads."""
     system, share = place.system, 1.0
-    while share * system.max_abs(d) > SHORTEST * system.length or share == 1.0:
+    while share * system.max_abs(d) > SHORTEST * place.length or share == 1.0:
         try:
-            there = replace(place, q=_closed(system, place.t, system.compose(place.q, share * d), place.yielding))
-            small = share * system.max_abs(d) <= SHORTEST * system.length
+            q = system.compose(place.q, share * d)
+            there = replace(place, q=_closed(system, place.t, q, place.yielding, place.length))
+            small = share * system.max_abs(d) <= SHORTEST * place.length
             if small or place.work(d) + there.work(d) <= 0.0:
                 return share, there
         except ConvergenceError:
@@ -90,12 +92,18 @@ def _below(place: _Place, d: Array) -> tuple[float, _Place | None]:
 
 @dataclass(frozen=True, eq=False)
 class _Place:
-    """A configuration on the constraints, and (1) there."""
+    """A configuration on the constraints, and (1) there; ``start``: of the descent."""
 
     system: System
     t: float
     q: Array
     spin: Spin | None
+    start: Array
+
+    @cached_property
+    def length(self) -> float:
+        """The model's length (m), or the way from the start where a soft spring lets it become longer."""
+        return max(self.system.length, self.system.max_abs(self.system.difference(self.start, self.q)))
 
     @cached_property
     def lam(self) -> Array:
@@ -112,21 +120,22 @@ class _Place:
         """Minus the power of all forces along an increment."""
         return float(d @ self._balance)
 
-    def increment(self, radius: float) -> Array:
-        """d of (1), like v, no displacement above ``radius`` (m)."""
+    def increment(self, radius: float) -> tuple[Array, bool]:
+        """d of (1), like v, no displacement above ``radius`` (m), and whether that cuts nothing off."""
         system, V = self.system, self._free
         if not len(V):
-            return np.zeros(system.n_v)
+            return np.zeros(system.n_v), True
         H = V @ self._stiffness @ V.T
         h, Q = np.linalg.eigh(0.5 * (H + H.T))
         g = Q.T @ (V @ (self._balance / system.units))
 
         flat = FLAT * float(np.abs(h).max())
-        along = -np.clip(g / np.maximum(np.abs(h), flat or 1.0), -radius, radius)
+        along = -np.clip(g / np.maximum(np.abs(h), max(flat, 1e-300)), -radius, radius)
         # on a saddle no force leads away from it
         along[(h < -1e-9 * np.abs(h).max()) & (np.abs(along) < SHORTEST * radius)] = radius
         d: Array = (Q @ along) @ V / system.units
-        return d * min(1.0, radius / max(system.max_abs(d), 1e-300))
+        share = min(1.0, radius / max(system.max_abs(d), 1e-300))
+        return share * d, share == 1.0 and bool(np.abs(along).max() < radius)
 
     @cached_property
     def yielding(self) -> Array:
@@ -176,17 +185,17 @@ def _of_unit_size(G: Array) -> tuple[Array, Array]:
     return G / sizes, sizes
 
 
-def _closed(system: System, t: float, q: Array, yielding: Array) -> Array:
+def _closed(system: System, t: float, q: Array, yielding: Array, length: float) -> Array:
     """The configuration with its constraints closed where that costs least: heavy things would take more than light ones."""
     at_rest = np.zeros(system.n_v)
     for _ in range(CLOSING):
         ev = system.at(t, q, at_rest)
         gap = ev.constraint()
-        if float(np.abs(system.row_units * gap).max(initial=0.0)) <= CLOSED * system.length:
+        if float(np.abs(system.row_units * gap).max(initial=0.0)) <= CLOSED * length:
             return q
         G, sizes = _of_unit_size(_rows(ev) * yielding)
         dq = yielding * np.linalg.lstsq(G, -gap / sizes[:, 0], rcond=RANK)[0] / system.units
-        if not system.max_abs(dq) <= system.length:
+        if not system.max_abs(dq) <= length:
             break
         q = system.compose(q, dq)
     raise ConvergenceError("constraints do not close")
