@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from ...checks import array, check_fields, vector
-from ...errors import AGREEMENTS, CallbackError, InputError, floats, named, require
+from ...errors import CallbackError, InputError, floats, named, require
 from ...rotations import Array
 from ..body import EQUATIONS, Body, Placed, Site
 from ..placements import FrameMotion, Part
@@ -218,18 +218,10 @@ class CoordinatePart(Part):
         return inertia - f
 
     def _forces(self, q: Array, v: Array, t: list[float]) -> Array:
-        """f of k configurations, one after another. What is not seen at a glance to be usable is asked again with all that
-        belongs to it.
-        """
-        if not AGREEMENTS:
-            try:
-                f = np.array([self.body.force(x.copy(), y.copy(), now) for x, y, now in zip(q, v, t, strict=True)])
-                if f.shape == q.shape and f.dtype == np.float64 and isfinite(np.add.reduce(f, axis=None)):
-                    return f
-            except Exception:
-                pass  # with a name below
+        """f of k configurations, one after another."""
         what, shape = "force(q, v, t)", (self.n,)
-        return np.array([self._finite(what, self._force(*at), shape, at[2]) for at in zip(q, v, t, strict=True)])
+        told = [(self._force(x.copy(), y.copy(), now), now) for x, y, now in zip(q, v, t, strict=True)]
+        return np.array([self._finite(what, f, shape, now) for f, now in told])
 
     def given(self, motion: FrameMotion, local: tuple[Array, Array]) -> dict[str, float] | None:
         """None: forces of the user are one sum."""

@@ -20,7 +20,7 @@ import numpy as np
 from ...errors import AGREEMENTS, FmbdError, named
 from ...rotations import Array
 from ..kinds.time_derivatives import along
-from .user_laws import checked, plain
+from .user_laws import checked_number
 
 ROAD = "road(x, t), which is asked for one height at x, all coordinates of the wheel's centre,"
 TINY = 1e-30  # s, of complex steps
@@ -70,14 +70,7 @@ class Roads:
 
     def height(self, i: int, x: Array, t: float) -> float:
         """The road under tyre i at a place x, m."""
-        if not AGREEMENTS:
-            try:
-                found = plain(self.tyres[i].road(x, t))
-            except Exception:
-                found = None  # with a name below
-            if found is not None:
-                return found
-        return float(checked(self.tyres[i].name, self.roads[i](x, t), 1, t, ROAD)[0])
+        return checked_number(self.tyres[i].name, self.roads[i](x, t), t, ROAD)
 
     def _known(self, key: Hashable, ask: Callable[[], list[Any]]) -> Array:
         """What was asked for before, or the answer; always asked for where ranks have to agree on it."""

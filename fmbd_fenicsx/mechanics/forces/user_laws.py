@@ -31,10 +31,10 @@ def checked(name: str, value: Any, size: int, t: float, what: str = "the law") -
     return found
 
 
-def checked_number(name: str, value: Any, t: float) -> float:
+def checked_number(name: str, value: Any, t: float, what: str = "the law") -> float:
     """:func:`checked` for a single number."""
     found = plain(value)
-    return float(checked(name, value, 1, t)[0]) if found is None else found
+    return float(checked(name, value, 1, t, what)[0]) if found is None else found
 
 
 def plain(value: Any) -> float | None:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ...checks import function as checked_function
-from ...errors import AGREEMENTS, ROUNDINGS, CallbackError, FmbdError, floats, named
+from ...errors import ROUNDINGS, CallbackError, FmbdError, floats, named
 from ...rotations import Array
 from ..frames import Kinematics
 from ..kinds.time_derivatives import Rates, SmoothIntervals, TimeFormula, rates
@@ -41,7 +41,6 @@ class SmoothMotion:
     smooth: SmoothIntervals = field(default_factory=SmoothIntervals)
     table: Callable[[float], Any] | None = None  # as the user gave it
     analytic: bool = False
-    raw: Callable[[float], Any] | None = None  # the function without names for its errors
 
     def __call__(self, t: float) -> tuple[float, float, float]:
         """s, s', s'' at a time."""
@@ -49,18 +48,10 @@ class SmoothMotion:
             place = self.place(t)
             return place, *self.rates(t, place)
 
-        # what is seen at a glance to be usable
-        if self.raw is not None and not AGREEMENTS:
-            try:
-                value = self.raw(t)
-                if isinstance(value, np.ndarray) and value.ndim == 1:
-                    value = tuple(value.tolist())
-                if isinstance(value, tuple) and len(value) == 3 and self._usable(*value):
-                    return value
-            except Exception:
-                pass  # with a name below
-
         value = self.function(t)
+        told: Any = tuple(value.tolist()) if isinstance(value, np.ndarray) and value.ndim == 1 else value
+        if isinstance(told, tuple) and len(told) == 3 and self._usable(*told):  # the usual answer passes at once
+            return told
         s = self._checked(value, t)
         self._require(len(s) == 3, s, t)
         return float(s[0]), float(s[1]), float(s[2])
@@ -103,7 +94,7 @@ class SmoothMotion:
         return float(s[0])
 
     def _usable(self, *value: Any) -> bool:
-        """Whether they are finite numbers as they stand, at a glance."""
+        """Whether they are finite numbers as they stand."""
         for x in value:
             if not (isinstance(x, float) and isfinite(x)):
                 return False
@@ -191,9 +182,7 @@ def smooth_motion(
     written = None if complete else TimeFormula.of(function)
     formula = None if written is None else named(what, name, written.rates, time=0)
     analytic = written is not None and written.smooth
-    return SmoothMotion(
-        name, asked, of, complete, differenced, positive, formula, table=given, analytic=analytic, raw=function
-    )
+    return SmoothMotion(name, asked, of, complete, differenced, positive, formula, table=given, analytic=analytic)
 
 
 class CouplingBatch(Batch):

@@ -160,24 +160,11 @@ class AskedFunction(Answers):
         turned = R[..., None] + (self.spins @ R).transpose(1, 2, 3, 0) * step
         if together:
             found = np.asarray(self.raw(moved[0], turned[0], moved[1], turned[1], t))
-            if not self._usable(found, (self.count, self.width)):
+            usable = found.shape == (self.count, self.width) and found.dtype.kind in "fc"
+            if not (usable and isfinite(abs(np.add.reduce(found, axis=None)))):
                 raise TypeError("no columns")
             return found
-
-        each = [(moved[..., k], turned[..., k]) for k in range(self.width)]
-        if not AGREEMENTS:
-            try:
-                found = np.array([self.raw(x[0], R[0], x[1], R[1], t) for x, R in each])
-                if self._usable(found, (self.width, self.count)):
-                    return found.T.copy()
-            except Exception:
-                pass  # with a name below
-        return np.array([self.at(moved, t) for moved in each]).T.copy()
-
-    @staticmethod
-    def _usable(found: Array, shape: tuple[int, ...]) -> bool:
-        """Whether these are numbers of a shape, at a glance."""
-        return found.shape == shape and found.dtype.kind in "fc" and isfinite(abs(np.add.reduce(found, axis=None)))
+        return np.array([self.at((moved[..., k], turned[..., k]), t) for k in range(self.width)]).T.copy()
 
     def _dropped(self, rows: Array, poses: Poses, t: float) -> bool:
         """Whether complex steps give something else than differences along one direction that moves everything."""
