@@ -100,6 +100,25 @@ def test_columns_and_products_give_the_same(
         assert many.counters["complementarity_residual"] < (1e-12 if friction else 1e-10)
 
 
+def test_a_contact_that_moves_on_asks_for_columns_seldom(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A ball that is drawn along a beam of 81 nodes: columns of nodes ahead are solved with those that are asked for."""
+    asked: list[int] = []
+    solve = delassus.Compliance._solve
+    monkeypatch.setattr(
+        delassus.Compliance, "_solve", lambda o, i, some: (asked.append(len(some)), solve(o, i, some))[1]
+    )
+    mesh = fmbd.read_gmsh(BLOCK, size=(4.0, 0.2), cells=80, origin=(0.0, -0.2))
+    beam = fmbd.AbsoluteBody("beam", mesh, degree=1, density=1.0, elastic=LINEAR)
+    drawn = fmbd.Obstacle("ball", fmbd.Sphere(0.5), motion=lambda t: ((0.5 + 2 * t, 0.5 - 0.01 * t), 0.0))
+    scene = fmbd.Scene("drawn")
+    scene.add(
+        beam, fmbd.fixed("held", fmbd.ground, beam.surface("bottom")), fmbd.contact("on", beam.surface("top"), drawn)
+    )
+    fmbd.solve(scene, t_end=1.4, dt=0.02, scheme=fmbd.ContactMidpoint(theta=1.0))
+    assert len(asked) <= 8
+    assert sum(asked) <= 2 * 81
+
+
 def test_the_order_of_bodies_does_not_count() -> None:
     """A compliance is that of the matrix of a step, also where fields without frames come first: the same increments."""
     runs = []

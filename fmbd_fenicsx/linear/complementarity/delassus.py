@@ -15,6 +15,7 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ...errors import require
 from ...mechanics.contact.contact_set import ContactSet
@@ -160,8 +161,23 @@ class Compliance(Remembering):
                 self.columns -= len(earlier)
         unknown = ~kept[2][nodes * tr.dim]
         if np.logical_or.reduce(unknown):
-            self._solve(i, (np.unique(nodes[unknown])[:, None] * tr.dim + np.arange(tr.dim)).ravel())
+            asked = np.unique(nodes[unknown])
+            found = np.concatenate((asked, self._beside(i, asked)))
+            self._solve(i, (np.sort(found)[:, None] * tr.dim + np.arange(tr.dim)).ravel())
         return kept[1]
+
+    def _beside(self, i: int, asked: np.ndarray) -> np.ndarray:
+        """Nodes to be solved with those that are ``asked`` for: the nearest unknown ones, as many as are known. A contact
+        that moves on asks seldom then, and columns together cost less; of those solved half at most are not needed.
+        """
+        tr, known = self.contacts.on_fields[i], self._kept[i][2][:: self.contacts.on_fields[i].dim]
+        others = np.flatnonzero(~known)
+        others = others[~np.isin(others, asked)]
+        count = min(int(known.sum()), CHUNK // tr.dim - len(asked), len(others))
+        if count <= 0:
+            return others[:0]
+        away = cKDTree(tr.X[asked]).query(tr.X[others])[0]
+        return others[np.argsort(away, kind="stable")[:count]]
 
     def _solve(self, i: int, missing: np.ndarray) -> None:
         """Further columns of C_s."""

@@ -58,17 +58,26 @@ static inline __attribute__((always_inline)) void add_block(double *C, const dou
             for (int j = 0; j < d; j++) C[i * d + j] += A[i * d + k] * B[k * d + j];
 }
 
-/* Blocks behind the diagonal of row i in the order of their columns: row k, of which i is a column, is taken off, with column k. */
+/* Whether a block holds a number that is not zero. */
+static inline __attribute__((always_inline)) int stands(const double *A, const int d)
+{
+    for (int i = 0; i < d * d; i++)
+        if (A[i] != 0.0) return 1;
+    return 0;
+}
+
+/* Blocks behind the diagonal of row i in the order of their columns: row k, of which i is a column, is taken off, with column k. Rows of
+   contacts that are open hold nothing beside the diagonal, and stay as they are. */
 static inline __attribute__((always_inline)) void take_off(const Problem *o, Blocks *b, int k, int at, const int d)
 {
     const long square = d * d, base = o->start[0];
-    const int i = o->behind[at];
+    const int i = o->behind[at], changes = stands(b->lower + (at - base) * square, d);
     double *upper = b->upper - base * square, *lower = b->lower - base * square;
-    add_block(b->own + i * square, lower + at * square, upper + at * square, d);
+    if (changes) add_block(b->own + i * square, lower + at * square, upper + at * square, d);
     for (int e = at + 1, to = o->start[i]; e < o->start[k + 1]; e++, to++) {
         while (o->behind[to] != o->behind[e]) to++;
-        add_block(upper + to * square, lower + at * square, upper + e * square, d);
-        add_block(lower + to * square, lower + e * square, upper + at * square, d);
+        if (changes) add_block(upper + to * square, lower + at * square, upper + e * square, d);
+        if (stands(lower + e * square, d)) add_block(lower + to * square, lower + e * square, upper + at * square, d);
     }
 }
 
@@ -88,7 +97,9 @@ static inline __attribute__((always_inline)) int factor_sized(const Problem *o, 
             memset(lower, 0, square * sizeof(double));
             add_block(lower, below, inverse, d);
         }
-        for (int e = o->start[k]; e < o->start[k + 1]; e++) take_off(o, b, k, e, d);
+        int acts = 0;
+        for (int e = o->start[k]; !acts && e < o->start[k + 1]; e++) acts = stands(b->upper + (e - base) * square, d);
+        for (int e = o->start[k]; acts && e < o->start[k + 1]; e++) take_off(o, b, k, e, d);
     }
     return 0;
 }
