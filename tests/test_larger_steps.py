@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from chains import chain
 from dae_problems import pendulum, torqued_links
 from scipy.integrate import solve_ivp
 from tolerance_scenes import MESHES, elastic_pendulum, geared_chain
@@ -275,6 +276,26 @@ def test_few_steps_of_a_scheme_that_changes_its_order_are_not_made_larger() -> N
     """They are those of its start, and not of its mean order: three times the error was told."""
     assert two_in_one(made_by(fmbd.BDF(rtol=1e-5), pendulum())) is None
     assert two_in_one(made_by(fmbd.BDF(rtol=1e-7), pendulum())) is not None
+
+
+@pytest.mark.parametrize(("rtol", "kinks", "told"), [(1e-6, False, True), (1e-4, True, False), (1e-5, True, False)])
+def test_steps_of_a_scheme_that_changes_its_order_are_made_larger_beside_refused_ones_but_no_kinks(
+    rtol: float, kinks: bool, told: bool
+) -> None:
+    """Of quick motion a run with a tenth of the tolerance told it, with 1.4 times the steps; of kinks two in one state 0.2."""
+    scene, last = chain(2, "double pendulum")
+    scene.sensor("end", fmbd.position(last))
+    if kinks:
+        scene.add(fmbd.force("pushes", last, lambda t: (0.0, 30.0 * max(np.sin(9.0 * t), 0.0))))
+    solved = made_by(fmbd.BDF(rtol=rtol), scene)
+    assert solved.run.counters["rejections"]
+    two = two_in_one(solved)
+    assert (two is not None) == told
+    if two is not None:
+        stated = larger_steps_error(solved, two, Allowed(("end",), lambda errors: 0.5, 0.9, rough=False)).errors["end"]
+        at = Output(progress=False, energy=False, times=tuple(solved.compared.recorder.times))
+        exact = fmbd.solve(scene, t_end=1.0, scheme=fmbd.Radau(5, rtol=1e-10), output=at)["end"]
+        assert 0.5 < stated.size / np.abs(solved.compared.recorder.series["end"] - exact).max() < 2.0
 
 
 @pytest.mark.parametrize("compiled", [True, False])

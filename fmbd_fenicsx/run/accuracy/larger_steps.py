@@ -27,6 +27,8 @@ from .orders import MOST_LEFT, REGULAR, TOO_HIGH, expected_orders, resolved, see
 from .search.shares import DOUBTED, Allowed
 
 SUDDEN = 1 / 3  # of the size of the step before: the error of smooth motion does not ask for so much less at once
+# steps within which kinks ask for as much less beside refused ones, of tolerances below which they do not pass unseen
+SOON, NOT_PASSED = 3, 5e-5
 MANY = 6 * FEWEST  # steps of which four in one still follow the motion
 MEAN_ORDER = "mean order"  # counter of schemes that change their order
 SLOW = 0.75  # share of the order of the scheme that errors are stated by, where half of it would do
@@ -40,20 +42,23 @@ def _taken_order(scheme: Any, counters: Mapping[str, float]) -> tuple[float, boo
 def may_be_larger(problem: Problem, given: Compared, counters: Mapping[str, float]) -> bool:
     """Whether steps that are two of a run's in one tell its error: its scheme takes them, it is recorded at its own ends, and no
     step is suddenly smaller than the one before, or was refused but for its error (``counters``). What kinks leave is of the
-    order :data:`.MOST_LEFT` at most: beside refused steps nothing above that is taken for granted, and has to be seen; of a
-    scheme that changes its order none is seen, and a few steps are those of its start.
+    order :data:`.MOST_LEFT` at most: beside refused steps nothing above that is taken for granted, and has to be seen, which few
+    steps do not show; of a scheme that changes its order none is seen, so that no steps may be much smaller soon behind others,
+    by a tolerance that tells kinks from quick motion. A few of its steps are those of its start.
     """
     order, changes = _taken_order(problem.scheme, counters)
     refused, few = counters.get("rejections", 0.0), given.steps < MANY
-    unseen = (few or changes) and SLOW * order > MOST_LEFT
-    if refused > counters.get("rejected: error estimate", 0.0) or (refused and unseen) or (few and changes):
+    unseen = bool(refused) and SLOW * order > MOST_LEFT
+    passed = unseen and problem.scheme.rtol > NOT_PASSED
+    if refused > counters.get("rejected: error estimate", 0.0) or (few and (unseen or changes)) or (changes and passed):
         return False
     scene = problem.scene
     known = problem.said.takes_given and _at_ends(given)
     if not known or scene.contacts or scene.limits or seen_by_ends(problem.system):
         return False
     sizes = [np.diff(t) for t in _stretches(given)]
-    smooth = all((h[1:-1] > SUDDEN * h[:-2]).all() for h in sizes)  # the last one ends where it has to
+    soon = range(1, 1 + (SOON if changes and unseen else 1))
+    smooth = all((h[k:-1] > SUDDEN * h[: -1 - k]).all() for h in sizes for k in soon)  # the last one ends where it has to
     return smooth and sum(map(len, sizes)) >= 2 * FEWEST
 
 
