@@ -27,29 +27,35 @@ from ...system.scene.contents import contents_of
 from ..problem import Problem
 from ..recording.output import Output
 from ..schedule import StepSchedule
-from .certificate import moving
+from .certificate import HIDDEN, moving
 from .companion_runs import UNFIT, Compared, as_recorded, companion
-from .deviation import Deviation
+from .deviation import Deviation, scaled
 
 FEW = 8  # steps that are looked at
 FINER = 8  # steps of the rule that damps nothing in one of the scheme
 FALLING = 2.0  # e_2h over e_h, from which on the difference is that of smooth motion
 
 
-def damped_vibrations(problem: Problem, schedule: StepSchedule) -> dict[str, float]:
-    """Sensor -> amplitude of what the scheme has taken out of it in the first steps, by (1); collective.
+def with_damped(
+    errors: dict[str, Deviation], problem: Problem, schedule: StepSchedule
+) -> tuple[dict[str, Deviation], dict[str, float]]:
+    """Errors that are at least the amplitudes of what the scheme has taken out of the first steps, by (1), and those amplitudes
+    that say more than the errors do; collective.
 
-    Empty for schemes that damp little, for runs of a few steps, and where one does not end.
+    As they are for schemes that damp little, for runs of a few steps, and where one does not end.
     """
     if not problem.said.forgets or schedule.left(0) < 2 * FEW:
-        return {}
-    free = _undamped(problem)
+        return errors, {}
+    free, h = _undamped(problem), schedule.next(0.0)
     try:
-        near, far = (_apart(problem, free, parts * schedule.next(0.0)) for parts in (1, 2))
+        apart = _apart(problem, free, h)
+        hidden = {n: x for n, x in apart.items() if n in errors and x > HIDDEN * errors[n].size > 0.0}
+        far = _apart(problem, free, 2.0 * h) if hidden else {}
     except UNFIT as error:
         log.info("vibrations that the scheme damps are not looked for: a run of a few steps did not end: %s", error)
-        return {}
-    return {n: size for n, size in near.items() if far[n] < FALLING * size}
+        return errors, {}
+    hidden = {n: x for n, x in hidden.items() if far[n] < FALLING * x}
+    return {n: scaled(x, hidden[n] / x.size) if n in hidden else x for n, x in errors.items()}, hidden
 
 
 def _undamped(problem: Problem) -> Any:

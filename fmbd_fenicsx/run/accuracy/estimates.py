@@ -25,8 +25,8 @@ from ..recording.output import Output
 from ..recording.recorder import Recorder
 from ..schedule import StepSchedule
 from ..time_loop import Marched
-from .beside_steps import algebra_error, damped_vibrations, tighter_run, with_early_rest
-from .certificate import HIDDEN, kinked, moving, stated_of, uncertain_of
+from .beside_steps import algebra_error, tighter_run, with_damped, with_early_rest
+from .certificate import kinked, moving, stated_of, uncertain_of
 from .companion_runs import UNFIT, Compared, as_recorded, companion
 from .deviation import Deviation, at_least, scaled
 from .equal_steps import equal_steps_error
@@ -330,7 +330,7 @@ def state_errors(run: Run, problem: Problem, made: Compared, output: Output) -> 
             found = equal_steps_error(problem, made, jumps, kinked=has_kinks)
 
         errors = with_early_rest(found.errors, problem, made)
-        errors, run.damped = with_damped(errors, damped_vibrations(problem, made.schedule))
+        errors, run.damped = with_damped(errors, problem, made.schedule)
         run.struck = jumps_at_records(errors, made.recorder, found.struck)
         run.deviations["time"] = errors
         run.observed_order, run.halved, run.alone, made = found.orders, found.halved, found.unseen, found.with_others
@@ -371,15 +371,6 @@ def _tell_jumps(run: Run, jumps: tuple[float, ...]) -> None:
             "(rtol)."
         )
         log.warning("%s", run.warnings[-1])
-
-
-def with_damped(
-    errors: dict[str, Deviation], amplitudes: Mapping[str, float]
-) -> tuple[dict[str, Deviation], dict[str, float]]:
-    """Errors that are at least the amplitudes of what a scheme takes out, and those that say more than the errors do."""
-    hidden = {n: x for n, x in amplitudes.items() if n in errors and x > HIDDEN * errors[n].size > 0.0}
-    stated = {n: scaled(x, hidden[n] / x.size) if n in hidden else x for n, x in errors.items()}
-    return stated, hidden
 
 
 def warn_of_uncertain(run: Run, sensors: Iterable[str]) -> None:

@@ -52,7 +52,7 @@ BOTH = 0.6  # part of it for each of space and modes, where there are both
 SMALL = 0.5  # part of what it is allowed up to which an error is not estimated again when the other kind is refined
 TIGHTER = 0.05  # share of the tolerance that Newton's iteration is brought to leave, where it left too much
 LEAST_NEWTON = 1e-12  # tolerance of Newton's iteration: roundoff is above smaller ones
-SURE = 0.7  # of a tolerance that is thought to be small enough, where a run with it has to be made
+SURE = 0.7  # of a tolerance, or an error, that is thought to be small enough, where a run with it has to be made
 FALLS = 1.1  # ratio by which errors in space have to fall when meshes are refined
 WORTH = 4  # times the fewest steps of runs that tell errors: what is made after a first look
 LAST = 10.0 * FINEST  # tolerance of a scheme of which a run with a tenth tells the error
@@ -235,9 +235,13 @@ def _as_half_tells(plan: AttemptPlan, run: Run, tol: Tolerance, finer: AttemptPl
     """The plan for finer steps where half of the last ones told the error: at least these, whose run is there, or, where no
     larger ones tell anything, steps as small as both runs can tell.
     """
-    alone = not any(np.isfinite(run.observed_order.get(n, np.nan)) for n in tol)
-    least = round(2 * plan.steps * (NEAREST if alone else 1.0))
+    least = round(2 * plan.steps * (NEAREST if _none_seen(run, tol) else 1.0))
     return finer if finer.steps >= least else replace(finer, schedule=finer.schedule.with_steps(least))
+
+
+def _none_seen(run: Run, tol: Tolerance) -> bool:
+    """Whether no order in the steps was seen in the sensors with a tolerance."""
+    return not any(np.isfinite(run.observed_order.get(n, np.nan)) for n in tol)
 
 
 def _with_steps_that_end(plan: AttemptPlan, run: Run, history: Sequence[Attempt]) -> tuple[AttemptPlan | None, str]:
@@ -395,7 +399,8 @@ def _factor(
     if plan.steps:
         order, regular = _order(run, tol)
         most, least = (FAR, LEAST) if regular else (NEAR, LEAST_UNSEEN)
-        return float(np.clip((wanted / now) ** (1.0 / order), most, least))
+        sure = SURE if run.halved and _none_seen(run, tol) else 1.0  # larger ones do not even end, or have kinks
+        return float(np.clip((sure * wanted / now) ** (1.0 / order), most, least))
 
     # errors of controlled runs follow the tolerance with a slope of their own
     same = [a for a in history if (a.meshes, a.modes) == (plan.meshes, plan.modes)]

@@ -29,12 +29,12 @@ from ...result import Run
 from ...schedule import step_schedule
 from ...settings import check_tangent, default_scheme
 from ...single_run import Solved
-from ..beside_steps import damped_vibrations, with_early_rest
+from ..beside_steps import with_damped, with_early_rest
 from ..certificate import FLOOR, Certificate, moving, stated_of, struck_or_sampled
 from ..companion_runs import UNFIT, Compared
 from ..deviation import Deviation
 from ..equal_steps import Orders, TimeError, astray, between, known_orders
-from ..estimates import usual_errors, warn_of_uncertain, with_damped, with_single_ends
+from ..estimates import usual_errors, warn_of_uncertain, with_single_ends
 from ..jumps_at_records import jumps_at_records
 from .attempts import Attempt, Failures, of_jumps, of_space, tell_of_dear_attempt
 from .foreseen_steps import with_steps_foreseen
@@ -388,7 +388,7 @@ def _time_error(plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, solved:
     made, errors = found.instead or solved, found.errors
     if allowed.nearly_lets(errors):
         errors = with_early_rest(errors, made.problem, made.compared)
-    errors, made.run.damped = with_damped(errors, damped_vibrations(made.problem, made.compared.schedule))
+        errors, made.run.damped = with_damped(errors, made.problem, made.compared.schedule)
     made.run.struck = jumps_at_records(errors, made.compared.recorder, found.struck)
     return replace(found, errors=errors)
 
