@@ -58,7 +58,8 @@ def may_be_larger(problem: Problem, given: Compared, counters: Mapping[str, floa
         return False
     sizes = [np.diff(t) for t in _stretches(given)]
     soon = range(1, 1 + (SOON if changes and unseen else 1))
-    smooth = all((h[k:-1] > SUDDEN * h[: -1 - k]).all() for h in sizes for k in soon)  # the last one ends where it has to
+    # the last one ends where it has to
+    smooth = all((h[k:-1] > SUDDEN * h[: -1 - k]).all() for h in sizes for k in soon)
     return smooth and sum(map(len, sizes)) >= 2 * FEWEST
 
 
@@ -161,8 +162,9 @@ def larger_steps_error(solved: Solved, two: Compared, allowed: Allowed) -> TimeE
     They tell it where half of the order of the scheme would be enough, or most of it is far too much; stated is what :data:`SLOW`
     of the order has, or order one where larger steps leave out vibrations (:func:`.deviation.unresolved`). Else steps that are
     four in one show the order: see :func:`.compare_steps`. Beside steps that were refused, of smooth motion as of kinks,
-    it has to be that of the scheme. A scheme that changes its order has the share :data:`.REGULAR` of the mean of those taken:
-    what three runs show is chance, and long motion falls by up to two fifths of an order less.
+    it has to be that of the scheme. A scheme that changes its order has the share :data:`.REGULAR` of the mean of those taken,
+    beside refused steps :data:`SLOW` of it: what three runs show is chance, and long motion falls by up to two fifths of an order
+    less, weak kinks by more.
     """
     problem, given, sensors, own = solved.problem, solved.compared, allowed.sensors, solved.compared.recorder
     refused = bool(solved.run.counters.get("rejections"))
@@ -170,6 +172,7 @@ def larger_steps_error(solved: Solved, two: Compared, allowed: Allowed) -> TimeE
     expected = expected_orders(problem.scheme, problem.scene, problem.system)
     apart = between(own, two.recorder, expected)
     quick = {n: 1 for n, x in apart.items() if unresolved(x, Deviation(own.times, own.series[n]))}
+    missed = refused and SLOW * order > MOST_LEFT and not quick.keys().isdisjoint(sensors)
     strays = bool(astray(given, {n: apart[n] for n in sensors}))
 
     def told(share: float) -> dict[str, Deviation]:
@@ -177,9 +180,11 @@ def larger_steps_error(solved: Solved, two: Compared, allowed: Allowed) -> TimeE
         return of_order(most, given, two, share) | of_order(quick, given, two, 1.0)
 
     others = two if quick.keys().isdisjoint(sensors) else given  # finer spaces need the vibrations, too
-    slow = TimeError(told(REGULAR if changes else SLOW), dict.fromkeys(expected, float("nan")), others)
+    slow = TimeError(told(REGULAR if changes and not refused else SLOW), dict.fromkeys(expected, float("nan")), others)
     if changes:
-        return None if strays else slow
+        return (
+            None if strays or missed else slow
+        )  # a vibration of which two in one leave out all, and high orders little
     if allowed.share(slow.errors) > DOUBTED * allowed.room:
         return slow
     if strays:
