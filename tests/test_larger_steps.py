@@ -295,7 +295,7 @@ def test_steps_of_a_scheme_that_changes_its_order_are_made_larger_beside_refused
         stated = larger_steps_error(solved, two, Allowed(("end",), lambda errors: 0.5, 0.9, rough=False)).errors["end"]
         at = Output(progress=False, energy=False, times=tuple(solved.compared.recorder.times))
         exact = fmbd.solve(scene, t_end=1.0, scheme=fmbd.Radau(5, rtol=1e-10), output=at)["end"]
-        assert 0.5 < stated.size / np.abs(solved.compared.recorder.series["end"] - exact).max() < 2.0
+        assert 0.5 < stated.size / np.abs(solved.compared.recorder.series["end"] - exact).max() < 3.0
 
 
 @pytest.mark.parametrize("compiled", [True, False])

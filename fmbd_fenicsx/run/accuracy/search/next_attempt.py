@@ -36,6 +36,7 @@ from ..deviation import Deviation
 from ..equal_steps import FEWEST, NEAREST, Orders
 from ..estimates import usual_power
 from ..jumps_in_time import jumps_about_kinks, with_break_points
+from ..larger_steps import MEAN_ORDER
 from ..orders import expected_orders, resolved, seen_by_ends
 from .shared_spaces import SharedSpaces
 from .shares import AIM, ITERATED, WHOLE, Tolerance, check_floor, largest_share, share
@@ -53,6 +54,8 @@ SMALL = 0.5  # part of what it is allowed up to which an error is not estimated 
 TIGHTER = 0.05  # share of the tolerance that Newton's iteration is brought to leave, where it left too much
 LEAST_NEWTON = 1e-12  # tolerance of Newton's iteration: roundoff is above smaller ones
 SURE = 0.7  # of a tolerance, or an error, that is thought to be small enough, where a run with it has to be made
+# the same of schemes that change their orders, whose error larger steps tell by less than these beside refused ones
+SURER = 0.4
 FALLS = 1.1  # ratio by which errors in space have to fall when meshes are refined
 WORTH = 4  # times the fewest steps of runs that tell errors: what is made after a first look
 LAST = 10.0 * FINEST  # tolerance of a scheme of which a run with a tenth tells the error
@@ -407,7 +410,8 @@ def _factor(
     slope = usual_power(run.scheme)
     if same and same[-1].worst > now:
         slope = float(np.clip(np.log(same[-1].worst / now) / np.log(same[-1].step / plan.step), 0.5, 1.2))
-    return float(np.clip(SURE * (wanted / now) ** (1.0 / slope), 1e-6, 0.5))
+    sure = SURER if MEAN_ORDER in run.counters else SURE
+    return float(np.clip(sure * (wanted / now) ** (1.0 / slope), 1e-6, 0.5))
 
 
 def _order(run: Run, tol: Tolerance) -> tuple[float, bool]:
