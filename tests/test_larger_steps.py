@@ -253,7 +253,7 @@ def test_larger_steps_tell_errors_of_a_scheme_that_changes_its_order_by_the_mean
     np.testing.assert_allclose(alone.recorder.series[sensor], two.recorder.series[sensor], rtol=0, atol=0.1 * told)
 
 
-@pytest.mark.parametrize(("sensor", "tol"), [("turn", 1e-4), ("rate", 2.3e-4)])
+@pytest.mark.parametrize(("sensor", "tol"), [("turn", 1e-4), ("rate", 3.7e-4)])
 def test_errors_of_long_motion_fall_by_less_than_the_mean_order(sensor: str, tol: float) -> None:
     """A pendulum turns over the top for 10 s: by the whole mean order of BDF 0.48 and 0.45 of the errors were stated."""
     body = fmbd.RigidBody("bob", 1.0, 0.1, (1.0, 0.0), angular_velocity=8.0, velocity=(0.0, 8.0))

@@ -214,7 +214,7 @@ def next_plan(
     factor = 0.25 if unseen else _factor(plan, run, tol, shares=(over["time"], wanted), history=history)
     finer = finer_steps(plan, factor)
     if not plan.steps:
-        finer = replace(finer, scheme=shared.tighter(made.scene, finer.scheme, SURE))
+        finer = replace(finer, scheme=shared.tighter(made.scene, finer.scheme, _sure(run)))
     if run.halved and not changes:
         finer = _as_half_tells(plan, run, tol, finer)
     made = replace(made, scheme=finer.scheme, schedule=max(made.schedule, finer.schedule, key=lambda x: x.steps))
@@ -410,8 +410,12 @@ def _factor(
     slope = usual_power(run.scheme)
     if same and same[-1].worst > now:
         slope = float(np.clip(np.log(same[-1].worst / now) / np.log(same[-1].step / plan.step), 0.5, 1.2))
-    sure = SURER if MEAN_ORDER in run.counters else SURE
-    return float(np.clip(sure * (wanted / now) ** (1.0 / slope), 1e-6, 0.5))
+    return float(np.clip(_sure(run) * (wanted / now) ** (1.0 / slope), 1e-6, 0.5))
+
+
+def _sure(run: Run) -> float:
+    """The share of a scheme's tolerance, thought to be small enough, with which a run is made."""
+    return SURER if MEAN_ORDER in run.counters else SURE
 
 
 def _order(run: Run, tol: Tolerance) -> tuple[float, bool]:
