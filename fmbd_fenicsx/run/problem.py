@@ -151,6 +151,8 @@ def _made_anew(problem: Problem, solver: StepSolver, before: TimeStepper | None,
         ev.forces = state.a, state.lam
         ev.take_tangents()
 
+    if before is not None and problem.said.compiled:
+        use_driver(system)  # each jump asks for evaluations
     if before is not None and before.begin_anew(lambda: behind_a_jump(system, state, solver, h=h)):
         return before
     return _stepper_from(problem, solver, consistent(system, state, solver, h=h)[0])

@@ -64,19 +64,15 @@ def _defects(system: System, ev: Evaluation, state: State, kept: list[int], ahea
     s, (a, lam) = ahead[:, None], (state.a, state.lam)
     q, v = system.compose(state.q, s * state.v + 0.5 * s * s * a), state.v + s * a
 
-    def alone(at: Evaluation, v: Array) -> Defects:
-        there = State(at.t, at.q, v, a, lam)
-        return at.balance(a, lam), at.jacobian.times(a) + at.gamma(), [_second_rate(system, there, k) for k in kept]
+    def volumes(q: Array, v: Array) -> list[Array]:
+        return [_second_rate(system, State(state.t, q, v, a, lam), k) for k in kept]
 
-    found = [alone(ev, state.v)]
-    if system.fields:
-        return found + [alone(system.at(float(state.t + d), q[i], v[i]), v[i]) for i, d in enumerate(ahead)]
-
-    # replicated coordinates: all in one call
+    # all that lie ahead in one call
     every = system.batch(state.t + ahead, q, v)
     pushes, multipliers = (np.array([x] * len(ahead)) for x in (a, lam))
     forces, constraints = every.balance(pushes, multipliers), every.jacobian.times(pushes) + every.gamma()
-    return found + [(forces[i], constraints[i], []) for i in range(len(ahead))]
+    begin = ev.balance(a, lam), ev.jacobian.times(a) + ev.gamma(), volumes(state.q, state.v)
+    return [begin, *((forces[i], constraints[i], volumes(q[i], v[i])) for i in range(len(ahead)))]
 
 
 def _second_rate(system: System, state: State, k: int) -> Array:
