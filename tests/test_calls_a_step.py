@@ -17,7 +17,7 @@ import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.materials import plane_stress
 from fmbd_fenicsx.mechanics.forces.user_laws import Repeatable
 from fmbd_fenicsx.mechanics.joints.couplings import smooth_motion
-from fmbd_fenicsx.mechanics.kinds.asked import AskedFunction
+from fmbd_fenicsx.mechanics.kinds.asked import AskedFunction, reads
 from fmbd_fenicsx.rotations import motions
 from fmbd_fenicsx.schemes.own_marching import OwnMarch
 
@@ -173,6 +173,23 @@ def test_usable_answers_take_few_calls(kind: str) -> None:
 
 
 @compiled
+@pytest.mark.parametrize(("scheme", "most"), [(fmbd.Radau(3, rtol=None), 19.0), (fmbd.BDF(5, rtol=None), 30.0)])
+def test_calls_of_a_law_with_a_memory(scheme: Any, most: float) -> None:
+    """Its equations at the points of a step are solved with few calls beside those of the law: they were 24 and 46 an answer."""
+    asked: list[float] = []
+
+    def scene() -> fmbd.Scene:
+        scene, _ = chain(4)
+        law = lambda t, y, z: (asked.append(0.0), ((-20 * y["s"][0] - 5 * z[0],), (y["s"][0] - z[0],)))[1]  # noqa: E731
+        s = fmbd.angle(scene.joints["pin 1"])
+        scene.add(fmbd.controller("pi", reads={"s": s}, acts=s, law=law, memory=(0.0,)))
+        return scene
+
+    found, each = calls_a_step(scene, scheme, asked)
+    assert found < AROUND + most * each
+
+
+@compiled
 def test_laws_are_asked_once_for_all_stages() -> None:
     """Of an increment, with arrays of all elements and times, and one of them alone beside; the end of the step asks anew."""
     asked: list[float] = []
@@ -197,6 +214,30 @@ def test_forces_are_asked_together_at_all_stages() -> None:
     asked: list[float] = []
     found, each = calls_a_step(lambda: scene_of("own force", asked), fmbd.Radau(7, rtol=None), asked)
     assert found < AROUND + 16.0 * each
+
+
+@compiled
+def test_joints_that_do_not_read_the_time_are_not_asked_at_others() -> None:
+    """Whether one depends on time cost two calls of it wherever its rows were asked for."""
+    asked: list[float] = []
+
+    def off(x: Any) -> float:
+        asked.append(0.0)
+        return float(x[1]) - 0.1 * (math.cos(float(x[0])) - math.cos(4.0))
+
+    still, moving = (lambda xa, Ra, xb, Rb, t: off(xb), lambda xa, Ra, xb, Rb, t: off(xb) + 0.0 * t)
+    assert [reads(law, 4) for law in (still, moving, max, lambda *given: given[4])] == [False, True, True, True]
+    assert reads(lambda xa, Ra, xb, Rb, t: locals()["t"], 4)
+    assert reads(lambda xa, Ra, xb, Rb, t: [t for _ in xa] and (lambda: t), 4)
+
+    def scene(law: Any) -> fmbd.Scene:
+        scene, last = chain(4)
+        scene.add(fmbd.own_joint("curve", fmbd.ground, last, law, center=(4.0, 0.0)))
+        return scene
+
+    scheme = fmbd.Radau(7, rtol=None)
+    each = [calls_a_step(lambda law=law: scene(law), scheme, asked)[1] for law in (still, moving)]
+    assert each[0] < 0.85 * each[1]
 
 
 def test_a_function_is_asked_by_one_call_more() -> None:

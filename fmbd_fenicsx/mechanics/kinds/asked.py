@@ -15,9 +15,11 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from dis import get_instructions
 from functools import cached_property, partial
 from itertools import product
 from math import isfinite
+from types import FunctionType
 from typing import Any
 
 import numpy as np
@@ -32,6 +34,7 @@ from .time_derivatives import rates
 TINY = 1e-30  # complex steps
 STEP = 1e-5  # of differences: a share of the length, rad
 DROPPED = 1e-5  # relative: derivatives that differ by more are not those of the function
+LOOKERS = frozenset(("locals", "vars", "dir", "eval", "exec", "_getframe"))  # functions that read arguments unseen
 SHORT = 3e-3  # of motions along which second derivatives are taken: a share of the length, rad
 
 Poses = tuple[Array, Array]  # x (2, d, ..), R (2, d, d, ..) of both markers
@@ -46,6 +49,7 @@ class AskedFunction(Answers):
         super().__init__()
         self.name, self.raw, self.motions, self.live, self.length = name, function, motions, tuple(live), length
         self.function = named("The constraint of joint", name, function)
+        self.timed = reads(function, 4)
         self.way: tuple[bool, bool] | None = None  # complex, all columns in one call: decided at the first derivative
         d, n = motions.dim, motions.n_rot
         self.width = (d + n) * len(self.live)
@@ -141,30 +145,36 @@ class AskedFunction(Answers):
                 return self._differences(poses, t, together)
             with warnings.catch_warnings():
                 warnings.simplefilter("error", np.exceptions.ComplexWarning)  # an imaginary part dropped on the way
-                return self._columns(poses, t, 1j * TINY, together).imag / TINY
+                x, R = (x[..., None] + d for x, d in self._stepped(poses, 1j * TINY))
+                return self._columns((x, R), t, together).imag / TINY
         except Exception:
             if not (by_complex or together):
                 raise
             return None
 
+    def _stepped(self, poses: Poses, step: Any) -> list[tuple[Array, Array]]:
+        """Places and rotations, each with what its columns move it by, steps in m and rad."""
+        x, R = poses
+        return [(x, self.shift * step), (R, (self.spins @ R).transpose(1, 2, 3, 0) * step)]
+
     def _differences(self, poses: Poses, t: float, together: bool) -> Array:
         """(2)."""
-        ahead = self._columns(poses, t, self.steps, together)
-        behind = self._columns(poses, t, -self.steps, together)
+        stepped = self._stepped(poses, self.steps)
+        x, R = (np.concatenate((here[..., None] + d, here[..., None] - d), axis=-1) for here, d in stepped)
+        found = self._columns((x, R), t, together)
+        ahead, behind = found[:, : self.width], found[:, self.width :]
         return np.asarray((ahead - behind) / (2.0 * self.steps), dtype=float)
 
-    def _columns(self, poses: Poses, t: float, step: Any, together: bool) -> Array:
-        """g with each column's displacement times a step, (m, width)."""
-        x, R = poses
-        moved = x[..., None] + self.shift * step
-        turned = R[..., None] + (self.spins @ R).transpose(1, 2, 3, 0) * step
+    def _columns(self, poses: Poses, t: float, together: bool) -> Array:
+        """g at as many poses as their last axis has, (m, columns)."""
+        (x, R), columns = poses, poses[0].shape[-1]
         if together:
-            found = np.asarray(self.raw(moved[0], turned[0], moved[1], turned[1], t))
-            usable = found.shape == (self.count, self.width) and found.dtype.kind in "fc"
+            found = np.asarray(self.raw(x[0], R[0], x[1], R[1], t))
+            usable = found.shape == (self.count, columns) and found.dtype.kind in "fc"
             if not (usable and isfinite(abs(np.add.reduce(found, axis=None)))):
                 raise TypeError("no columns")
             return found
-        return np.array([self.at((moved[..., k], turned[..., k]), t) for k in range(self.width)]).T.copy()
+        return np.array([self.at((x[..., k], R[..., k]), t) for k in range(columns)]).T.copy()
 
     def _dropped(self, rows: Array, poses: Poses, t: float) -> bool:
         """Whether complex steps give something else than differences along one direction that moves everything."""
@@ -257,7 +267,10 @@ class AskedKind(PythonKind):
 
     def _in_time(self, at: At, t: float) -> Array:
         """Whether the function depends on time, and g_t, (1 + m,)."""
-        f, poses = self.function, self._poses(at, self._frames(at))
+        f = self.function
+        if not f.timed:
+            return np.zeros(1 + f.count)
+        poses = self._poses(at, self._frames(at))
         here = self._value(at, t)[:, 0]
         moves = f.moves(poses, t, here)
         return np.array([moves, *(f.partial(poses, t) if moves else np.zeros(f.count))])
@@ -277,6 +290,18 @@ class AskedKind(PythonKind):
         if moves:
             fast = max(fast, 1.0)
         return f.second(path, t, fast, self._value(at, t)[:, 0]) if fast else np.zeros(f.count)
+
+
+def reads(function: Any, number: int) -> bool:
+    """Whether a function may read that argument: all but plain ones whose code never loads it."""
+    if not isinstance(function, FunctionType) or number >= function.__code__.co_argcount:
+        return True
+    code = function.__code__
+    name = code.co_varnames[number]
+    if name in code.co_cellvars or not LOOKERS.isdisjoint(code.co_names):
+        return True
+    loaded = [x.argval for x in get_instructions(code) if x.opname.startswith("LOAD_")]
+    return any(name in x if isinstance(x, tuple) else name == x for x in loaded)
 
 
 def _turned(R: Array, turn: Array) -> Array:

@@ -8,6 +8,7 @@ from math import isfinite
 from typing import Any
 
 import numpy as np
+from scipy.linalg.lapack import dgesv
 
 from ...errors import CallbackError, floats
 from ...rotations import Array
@@ -54,6 +55,14 @@ def differences(
         by_first.append((ahead[0] - behind[0]) / apart)
         by_second.append((ahead[1] - behind[1]) / apart)
     return np.array(by_first).T, np.array(by_second).T
+
+
+def solved(matrix: Array, right: Array) -> Array:
+    """What solves equations of few numbers, without the checks of :func:`numpy.linalg.solve`, which cost more than that."""
+    _, _, found, singular = dgesv(matrix, right)
+    if singular:
+        raise np.linalg.LinAlgError("Singular matrix")
+    return found  # type: ignore[no-any-return]
 
 
 def unfelt(ask: Callable[[Array, Array], Answers], y: Array, z: Array, places: Array) -> Array:

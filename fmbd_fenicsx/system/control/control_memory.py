@@ -14,7 +14,7 @@ import numpy as np
 
 from ...errors import CallbackError
 from ...rotations import Array
-from .control_laws import differences
+from .control_laws import differences, solved
 
 PAST = 5  # ends of steps before the last one that are kept, as differences of BDF ask for
 FORETOLD = 1.5  # of the last step, that the cubic through its ends foretells of the next one
@@ -138,7 +138,7 @@ class StepMemory:
         """By how much the memory is off where (1) is off by ``miss``; ``left``: what would be left of it by inserting."""
         if self.slopes is None:
             return miss / left
-        return np.linalg.solve(np.eye(len(miss)) - share * self.slopes, miss)
+        return solved(np.eye(len(miss)) - share * self.slopes, miss)
 
 
 def _largest(x: Array) -> float:

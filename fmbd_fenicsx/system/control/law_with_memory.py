@@ -13,7 +13,7 @@ import numpy as np
 
 from ...errors import CallbackError, LawError, named
 from ...rotations import Array
-from .control_laws import PidLaw, differences, numbers_of, unfelt
+from .control_laws import PidLaw, differences, numbers_of, solved, unfelt
 from .control_memory import ControllerMemory, StepMemory
 from .memory_points import PointMemories, PointRule
 from .readings import Readings
@@ -130,7 +130,7 @@ class LawWithMemory:
         by_memory: Array = np.zeros((self.acts, len(z)))
         if len(z) and half:
             effort, rate = differences(z, np.abs(half * rate), partial(self.asked, t, y), known)
-            by_memory = half * np.linalg.solve((np.eye(len(z)) - half * rate).T, effort.T).T
+            by_memory = half * solved((np.eye(len(z)) - half * rate).T, effort.T).T
 
         effort, rate = differences(y, spans, lambda y: self.asked(t, y, z), known)
         if len(z) and not self.stated:

@@ -22,12 +22,13 @@ import numpy as np
 from ...errors import CallbackError
 from ...mechanics.forces.formulas import MEMORY
 from ...rotations import Array
-from .control_laws import Answers, differences
+from .control_laws import Answers, differences, solved
 from .control_memory import PAST, ControllerMemory
 
 SWEEPS = 30  # of all points
 # shares of a memory that Newton's iteration may leave, and along which slopes tell what the law would answer
 LEFT, NEAR = 1e-14, 1e-7
+TINY = float(np.finfo(float).tiny)
 FALLS = 0.3  # share of what was left that slopes of one point may leave of all
 # of PidMemory: numbers before those of the past, points at most
 HEAD, STAGES = 7, 7
@@ -113,12 +114,12 @@ class PointMemories:
         z = self.z if self.kept is kept and self.t == t else np.array([kept.foretold(x) for x in t])
         slopes = self.slopes if self.kept is kept and len(self.t) == k else None
         behind = rule.past @ kept.ends(rule.ends)
-        alone, before = np.linalg.inv(rule.couple), np.inf
+        before = np.inf
 
         for _ in range(SWEEPS):
             answers = [laws[i](z[i]) for i in range(k)]
             u, rates = (np.array(x) for x in zip(*answers, strict=True))
-            size = np.maximum(self.sizes(kept, t[-1], z[-1]), np.abs(alone @ rates).max(axis=0))
+            size = np.maximum(self.sizes(kept, t[-1], z[-1]), _largest(solved(rule.couple, rates)))
             if slopes is None:
                 slopes = [differences(z[-1], size, laws[-1], answers[-1])] * k
             miss = rule.couple @ z + behind - rates
@@ -163,7 +164,7 @@ class PointMemories:
         off: Array = of.points @ self.z + of.past @ kept.ends(of.ends) + of.rate * kept.rate
         if of.frequency:
             assert self.slopes is not None
-            off = np.linalg.solve(of.frequency * np.eye(len(off)) - self.slopes[-1][1], off)
+            off = solved(of.frequency * np.eye(len(off)) - self.slopes[-1][1], off)
         sizes = self.sizes(kept, self.t[-1], self.z[-1])
         allowed = of.rtol * sizes + of.atol
         return float(np.max(np.abs(off)[allowed > 0] / allowed[allowed > 0], initial=0.0))
@@ -175,13 +176,19 @@ def _change(couple: Array, slopes: list[Answers], miss: Array) -> Array:
     matrix = couple[:, None, :, None] * np.eye(m)[:, None, :]
     for i, (_, by_rate) in enumerate(slopes):
         matrix[i, :, i] -= by_rate
-    return np.linalg.solve(matrix.reshape(k * m, k * m), miss.ravel()).reshape(k, m)
+    return solved(matrix.reshape(k * m, k * m), miss.ravel()).reshape(k, m)
+
+
+def _largest(x: Array) -> Array:
+    """max |x| of points (k, m), (m,)."""
+    return np.maximum.reduce(np.abs(x), axis=0)
 
 
 def _share(change: Array, size: Array) -> float:
     """The largest change (k, m) over the sizes (m,)."""
-    largest = np.abs(change).max(axis=0)
-    return float(np.max(largest[largest > 0] / np.maximum(size[largest > 0], np.finfo(float).tiny), initial=0.0))
+    largest = _largest(change)
+    moved = largest > 0
+    return max((largest[moved] / np.maximum(size[moved], TINY)).tolist(), default=0.0)
 
 
 # -- integrals of PID controllers, as compiled steps keep them ----------------------------------------------------
