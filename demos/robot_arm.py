@@ -35,11 +35,13 @@ def arm(name, modulus=None):
 
     scene = robot.scene(name, gravity=(0, 0, -9.81))
     for joint, goal in goals.items():
-        phi = robot.coordinate(joint)
+        phi, begin = robot.coordinate(joint), robot.joints[joint].start
         size = 400.0 if joint in ("yaw", "shoulder", "elbow") else 10.0
-        scene.add(
-            fmbd.motor(f"motor {joint}", phi, target=lambda t, goal=goal: goal * way(t), kp=10 * size, kd=0.2 * size)
-        )
+
+        def target(t, begin=begin, goal=goal):
+            return begin + goal * way(t)
+
+        scene.add(fmbd.motor(f"motor {joint}", phi, target=target, kp=10 * size, kd=0.2 * size))
         scene.sensor(joint, phi)
     scene.sensor("flange", fmbd.position(scene.bodies["flange"]))
     return scene

@@ -329,10 +329,14 @@ def test_wires_and_droppers_are_drawn_where_they_hang() -> None:
     assert slack.flag.all() and not taut.flag.any()
 
 
-def test_a_drawing_needs_snapshots_and_something_to_paint() -> None:
+def test_a_drawing_without_snapshots_is_that_of_the_last_state() -> None:
     scene, _ = pendulum()
-    with pytest.raises(InputError, match="snapshots=50"):
-        draw(fmbd.solve(scene, t_end=0.1, dt=0.05))
+    run = fmbd.solve(scene, t_end=0.1, dt=0.05)
+    assert draw(run).times == pytest.approx([0.1])
+
+
+def test_a_drawing_needs_something_to_paint() -> None:
+    scene, _ = pendulum()
     with pytest.raises(InputError, match='painted with "stress"'):
         draw(fmbd.solve(scene, t_end=0.1, dt=0.05, output=few()), paint=fmbd.Paint(lambda u: u[0], "stress"))
     with pytest.raises(InputError, match="camera"):

@@ -97,11 +97,16 @@ def test_fields_show_the_true_motion(pendulums: fmbd.Run, shared_tmp: Path) -> N
         assert cells["von Mises (Pa)"].max() > 1e2
 
 
-def test_fields_need_snapshots_and_elastic_bodies() -> None:
-    scene = fmbd.Scene("rigid")
-    scene.add(fmbd.RigidBody("b", 1.0, 1.0))
-    with pytest.raises(fmbd.errors.InputError, match="snapshots=50"):
-        fmbd.solve(scene, t_end=0.1, dt=0.1).save_fields("unused")
+def test_fields_without_snapshots_are_those_of_the_last_state(tmp_path: Path) -> None:
+    mesh = fmbd.read_gmsh("meshes/rod.py", h=0.5)
+    rod = fmbd.FloatingBody("rod", mesh, density=1e3, elastic=fmbd.materials.linear_elastic(5e6, 0.3), velocity=(3.0, 0.0))
+    scene = fmbd.Scene("flight")
+    scene.add(rod)
+    fmbd.solve(scene, t_end=0.1, dt=0.05).save_fields(tmp_path)
+    (file,) = tmp_path.glob("rod*.vtu")
+    import pyvista
+
+    assert pyvista.read(file)["displacement"][:, 0] == pytest.approx(0.3, abs=1e-9)
 
 
 @pytest.mark.mpi

@@ -229,6 +229,8 @@ def test_bad_input_is_named() -> None:
         fmbd.joint_limit("stop", fmbd.angle(hinge), lower=0.0, restitution=1.2)
     with pytest.raises(InputError, match="lower"):
         fmbd.joint_limit("stop", fmbd.angle(hinge), lower=float("nan"))
+    with pytest.raises(InputError, match="stops one joint coordinate"):
+        fmbd.joint_limit("stop", 2.0 * fmbd.angle(hinge), lower=-1.0)
 
     scene = fmbd.Scene("arm")
     scene.add(arm, fmbd.joint_limit("stop", fmbd.angle(hinge), lower=-1.0))

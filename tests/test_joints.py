@@ -199,6 +199,19 @@ def test_multiplier_of_a_distance_is_its_force() -> None:
     assert np.abs(np.abs(fmbd.solve(scene, t_end=0.01, dt=0.01)["force"]) - 20.0).max() < 1e-9
 
 
+def test_a_rotor_in_elastic_bearings_has_an_angle() -> None:
+    """A planar joint holds nothing in the plane: its angle is that of a torque of 0.5 N m on 0.1 kg m^2, over six turns."""
+    rotor = fmbd.RigidBody("rotor", 2.0, 0.1, position=(0.001, 0.0))
+    scene = fmbd.Scene("rotor", gravity=(0, -9.81))
+    turn = fmbd.planar("turn", fmbd.ground, rotor)
+    bearings = fmbd.bushing("bearings", fmbd.ground, rotor, stiffness=(1e4, 2e4, 0.0))
+    scene.add(rotor, turn, bearings, fmbd.effort("motor", fmbd.angle(turn), 0.5))
+    scene.sensor("angle", fmbd.angle(turn))
+    assert scene.check().freedom == 3
+    run = fmbd.solve(scene, t_end=4.0, dt=0.01)
+    assert run["angle"][-1] == pytest.approx(0.5 * 5.0 * 4.0**2, rel=1e-9)
+
+
 # -- input ---------------------------------------------------------------------------------------------------
 def bodies() -> tuple[fmbd.RigidBody, fmbd.RigidBody]:
     """Two bodies of space."""

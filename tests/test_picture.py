@@ -102,7 +102,7 @@ def test_files_are_written_by_rank_0(rod_mesh, shared_tmp):
 def test_mistakes_are_told_on_all_ranks(rod_mesh, shared_tmp):
     run = swing(rod_mesh, snapshots=0)
     with pytest.raises(InputError, match="snapshots"):
-        run.picture(shared_tmp / "a.png")
+        run.animate(shared_tmp / "a.gif")
     with pytest.raises(InputError, match='Did you mean "tip"'):
         run.plot("tipp", file=shared_tmp / "a.png")
     with pytest.raises(InputError, match="cannot be written"):

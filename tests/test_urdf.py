@@ -155,3 +155,17 @@ def test_a_joint_that_mimics_begins_where_the_other_puts_it(tmp_path: Path) -> N
     file.write_text(FINGERS[:300])
     with pytest.raises(InputError, match="no complete XML file"):
         fmbd.read_urdf(file)
+
+
+def test_coordinates_count_as_the_file_does(tmp_path: Path) -> None:
+    """An arm that falls from 1.8 rad rests at its limit of 2 rad, on a rigid stop as on one that gives way."""
+    for kind in (fmbd.joint_limit, fmbd.elastic_stop):
+        robot = fmbd.read_urdf(written(tmp_path), start={"shoulder": 1.8, "elbow": 0.3})
+        scene = robot.scene(gravity=(0, 0, -9.81))
+        lower, upper = robot.joints["shoulder"].limits
+        more = {} if kind is fmbd.joint_limit else {"stiffness": 1e5, "damping": 1e3}
+        scene.add(kind("stop", robot.coordinate("shoulder"), lower=lower, upper=upper, **more))
+        scene.sensor("shoulder", robot.coordinate("shoulder"))
+        run = fmbd.solve(scene, t_end=0.5, dt=2e-3)
+        assert run["shoulder"][0] == pytest.approx(1.8, abs=1e-12)
+        assert run["shoulder"][-1] == pytest.approx(2.0, abs=1e-3)

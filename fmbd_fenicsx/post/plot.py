@@ -195,7 +195,7 @@ def picture(
     for name in names:
         series_of(run, name)
     view = View() if view is None else view
-    states = chosen(run.snapshots, view.instants)
+    states = chosen(run.shown, view.instants)
     drawing = draw(run, view=view, paint=paint, states=states)
 
     def write() -> None:

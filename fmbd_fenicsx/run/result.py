@@ -100,7 +100,8 @@ class Run(Uncopied):
     kept: tuple[Any, ...] = ()
 
     def __post_init__(self) -> None:
-        self.energy, self.counters = Told("Energies of a run", self.energy), Told("Counters of a run", self.counters)
+        self.energy = Told("Energies of a run (run.total_energy is their sum)", self.energy)
+        self.counters = Told("Counters of a run", self.counters)
 
     def __getitem__(self, sensor: str) -> Array:
         """Series of a sensor, (n, size), or of one of its components, ``run["tip y"]``, (n,)."""
@@ -186,6 +187,11 @@ class Run(Uncopied):
         plot_history(self, file)
 
     @property
+    def shown(self) -> list[State]:
+        """The snapshots; where there are none the last state, which every run holds."""
+        return self.snapshots or [self.state]
+
+    @property
     def total_energy(self) -> Array:
         """Sum of the recorded energies, (n,) J."""
         return np.sum(list(self.energy.values()), axis=0)
@@ -255,7 +261,8 @@ class Run(Uncopied):
         paint: Paint | None = None,
         reference: Mapping[str, Any] | None = None,
     ) -> None:
-        """Write a picture of some snapshots (pyvista), with the histories of sensors beside it; collective, rank 0 writes.
+        """Write a picture of some snapshots, of the last state where there are none (pyvista), with histories of sensors beside
+        it; collective, rank 0 writes.
 
         Args:
             sensors: names of sensors or of their components ("tip y").

@@ -14,7 +14,7 @@ joint                  rows         relative motion left free
 :func:`universal`      - / 4        rotation about two perpendicular axes
 :func:`prismatic`      2 / 5        translation along the axis
 :func:`cylindrical`    - / 4        translation along and rotation about the axis
-:func:`planar`         - / 3        two translations, rotation about the normal
+:func:`planar`         0 / 3        two translations, rotation about the normal
 :func:`distance`       1 / 1        all but the distance of two points
 :func:`segment`        0 / 0        everything; the distance of two points is its coordinate
 :func:`point_on_line`  1 / 2        translation along a line of the first body, rotation
@@ -270,14 +270,15 @@ def cylindrical(name: str, a: Any, b: Any, *, axis: Vector, center: Vector | Non
 
 
 @typed
-def planar(name: str, a: Any, b: Any, *, normal: Vector, center: Vector | None = None) -> Joint:
-    """b slides and turns in the plane through ``center`` with the given normal (fixed in a); 3 rows, in space only.
+def planar(name: str, a: Any, b: Any, *, normal: Vector = UPRIGHT, center: Vector | None = None) -> Joint:
+    """b slides and turns in the plane through ``center`` with the given normal (fixed in a): 3 rows in space; in the plane none,
+    where it is for its :func:`angle`, say that of a rotor in elastic bearings.
 
-    ``normal``: world, at the start. Other arguments as of :func:`fixed`.
+    ``normal``: world, at the start; of no use in the plane. Other arguments as of :func:`fixed`.
     """
-    _in_space(a, b, name)
-    E = basis(normal, name)
-    return _joint((name, "planar", a, b), center, [Row(ct.Along, E[2]), *_upright(E)], E[2])
+    dim = dimension(a, b, name)
+    E = basis(normal, name, dim)
+    return _joint((name, "planar", a, b), center, [Row(ct.Along, E[2]), *_upright(E)] if dim == 3 else [], E[2])
 
 
 @typed

@@ -15,6 +15,7 @@ import numpy as np
 from ...checks import typed
 from ...errors import require
 from .drives import JointCoordinate
+from .sums import Coordinate
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +34,7 @@ class JointLimit:
 
 @typed
 def joint_limit(
-    name: str, on: JointCoordinate, *, lower: float = -np.inf, upper: float = np.inf, restitution: float = 0.0
+    name: str, on: Coordinate, *, lower: float = -np.inf, upper: float = np.inf, restitution: float = 0.0
 ) -> JointLimit:
     """Rigid stops of a joint coordinate, at ``lower`` and ``upper`` (rad or m), with impacts (1).
 
@@ -43,7 +44,7 @@ def joint_limit(
 
     Args:
         name: what messages and sensors call it.
-        on: ``fmbd.angle(joint)`` or ``fmbd.displacement(joint)``; zero at the start.
+        on: ``fmbd.angle(joint)`` or ``fmbd.displacement(joint)``, zero at the start, or one of these plus a number.
         lower: least value; infinite: no stop on this side.
         upper: largest value.
         restitution: e in [0, 1], ratio of the rates after and before an impact; 0: the joint stays at the stop.
@@ -51,11 +52,15 @@ def joint_limit(
     Scenes with limits are run by :class:`~fmbd_fenicsx.schemes.impacts.moreau.Moreau`, the scheme with impacts.
 
     Raises:
-        InputError: no stop at all, stops in the wrong order, or e outside [0, 1].
+        InputError: no stop at all, stops in the wrong order, a sum of several coordinates, or e outside [0, 1].
     """
     what = f'Joint limit "{name}"'
+    (s, factor), *more = on.terms
+    require(
+        not more and factor == 1.0, f"{what} stops one joint coordinate, with a number added or without, and no other sum."
+    )
     require(lower < upper, f"{what}: lower = {lower} must be less than upper = {upper}.")
     require(np.isfinite(lower) or np.isfinite(upper), f"{what}: give lower, upper, or both.")
     require(0 <= restitution <= 1, f"{what}: restitution {restitution} must lie in [0, 1].")
 
-    return JointLimit(name, on, float(lower), float(upper), float(restitution))
+    return JointLimit(name, s, float(lower) - on.offset, float(upper) - on.offset, float(restitution))

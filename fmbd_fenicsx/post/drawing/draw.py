@@ -24,12 +24,12 @@ AT_REST = View()
 def draw(
     run: Run, *, view: View = AT_REST, paint: Paint | None = None, states: Sequence[State] | None = None
 ) -> Drawing:
-    """The drawing of a run's snapshots, or of the given states; collective, complete on rank 0 only.
+    """The drawing of what a run shows, or of the given states; collective, complete on rank 0 only.
 
     Raises:
-        InputError: no snapshots, or more triangles than can be drawn.
+        InputError: more triangles than can be drawn.
     """
-    at = places(run, list(run.snapshots if states is None else states))
+    at = places(run, list(run.shown if states is None else states))
     up = direction_up(run, view)
     size = _size(at)
     symbol = SYMBOL * size

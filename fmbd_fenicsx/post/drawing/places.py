@@ -67,10 +67,6 @@ class Places:
 
 def places(run: Run, states: list[State]) -> Places:
     """Frames and markers of a run at some of its states; collective."""
-    require(
-        bool(states),
-        "Pictures and animations show snapshots, and this run has none: solve(..., output=fmbd.Output(snapshots=50)).",
-    )
     s = run.system
     d = s.motions.dim
     n, count = s.n_frames + 1, len(states)

@@ -149,12 +149,11 @@ def _save_errors(run: Run, file: Path) -> None:
 
 
 def save_fields(run: Run, folder: str | Path, quantities: Mapping[str, Quantity] | None = None) -> list[Path]:
-    """Displacements and quantities of every elastic body at the snapshots, ``folder/<body>.pvd``, and the whole scene with rigid
+    """Displacements and quantities of every elastic body in what the run shows, ``folder/<body>.pvd``, and the whole scene with rigid
     bodies, joints, springs and obstacles, ``folder/scene.pvd``; collective.
 
     ``quantities`` are those of the middle of each cell. Returns the files, that of the scene last.
     """
-    require(bool(run.snapshots), "Fields are those of snapshots: solve(..., output=Output(snapshots=50)).")
     bodies = [b for b in run.scene.bodies.values() if b.meshed]
     files = body_files(Path(folder), [b.name for b in bodies])
     for b in bodies:
@@ -167,13 +166,13 @@ def save_fields(run: Run, folder: str | Path, quantities: Mapping[str, Quantity]
 def _save_body(run: Run, body: Any, file: Path, quantities: dict[str, Quantity]) -> None:
     from dolfinx import fem, io
 
-    u = displacement_field(run, body, run.snapshots[0])
+    u = displacement_field(run, body, run.shown[0])
     mesh = u.function_space.mesh
     moved = fem.Function(u.function_space, name="displacement")
     cells = [within_cells(u, quantity, degree=0, name=name) for name, quantity in quantities.items()]
 
     with io.VTKFile(mesh.comm, file, "w") as out:
-        for state in run.snapshots:
+        for state in run.shown:
             # quantities are those of u in the body's axes; what is shown is the motion in the world
             u.x.array[:] = displacement_field(run, body, state).x.array
             moved.x.array[:] = _motion(run, body, state, u)

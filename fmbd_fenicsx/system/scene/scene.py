@@ -192,7 +192,8 @@ class Scene:
     def input(self, name: str, start: float = 0.0, *, lower: float = -inf, upper: float = inf) -> Input:
         """A number that is set from outside between steps: ``fmbd.effort("motor", phi, scene.input("torque"))``.
 
-        :meth:`set` of a :func:`~fmbd_fenicsx.stepper` changes it; ``lower`` and ``upper`` are its range.
+        :meth:`set` of a :func:`~fmbd_fenicsx.stepper` changes it, its own ``torque.set(2.0)`` in functions that a run calls
+        after steps or at events; ``lower`` and ``upper`` are its range.
         """
         require(name not in self.inputs, f'Two inputs are called "{name}".')
         self.inputs[name] = Input(name, start, lower=lower, upper=upper)

@@ -3,7 +3,7 @@
     robot = fmbd.read_urdf("arm.urdf", start={"elbow": 0.5})
     robot.make_elastic("forearm", forearm, surfaces={"elbow": "root", "wrist": "tip"})
     scene = robot.scene("arm", gravity=(0, 0, -9.81))
-    phi = robot.coordinate("elbow")
+    phi = robot.coordinate("elbow")  # 0.5 at the start
 
 The root link stands still. Links without mass go with the link that a fixed joint ties them to. Damping and friction of a joint
 become force elements, a mimic joint a gear. Limits are kept as data, ``robot.joints["elbow"].limits``; a start outside of them is
@@ -28,6 +28,7 @@ from ...mechanics.forces.forces import joint_spring
 from ...mechanics.forces.joint_elements import joint_friction
 from ...mechanics.joints.drives import JointCoordinate, angle, displacement, gear
 from ...mechanics.joints.joints import Joint, fixed, ground, planar, prismatic, revolute
+from ...mechanics.joints.sums import Coordinate
 from ...rotations import Array
 from .scene import Scene
 
@@ -39,7 +40,9 @@ FRICTION_SPEED = 1e-2  # rad/s or m/s at which the friction of a joint is that o
 
 @dataclass(frozen=True)
 class RobotJoint:
-    """A joint of the file: names of its links, its ``frame`` (4, 4) in the world at the start, ``axis`` there, ``limits``."""
+    """A joint of the file: names of its links, its ``frame`` (4, 4) in the world at the start, ``axis`` there, ``limits`` of its
+    angle or displacement, and which of these it has at the ``start`` (rad or m).
+    """
 
     name: str
     kind: str
@@ -51,6 +54,7 @@ class RobotJoint:
     damping: float
     friction: float
     mimic: tuple[str, float] | None
+    start: float
 
 
 @dataclass(repr=False)
@@ -113,7 +117,15 @@ class Robot:
         body = self.bodies[carrier]
         return body.surface(self.surfaces[carrier, joint]) if (carrier, joint) in self.surfaces else body
 
-    def coordinate(self, joint: str) -> JointCoordinate:
+    def coordinate(self, joint: str) -> Coordinate:
+        """Angle or displacement of a joint as the file counts it, so that its limits and targets hold: that of the start, and what
+        it has moved since.
+        """
+        moved = self._moved(joint)
+        start = self.joints[joint].start
+        return moved + start if start else moved
+
+    def _moved(self, joint: str) -> JointCoordinate:
         """Angle or displacement of a joint, from its start."""
         if joint not in self._made:
             known = self._made or self.joints
@@ -142,13 +154,13 @@ class Robot:
         if j.kind not in COORDINATES:
             return
         if j.damping:
-            scene.add(joint_spring(f"{j.name} damping", self.coordinate(j.name), damping=j.damping))
+            scene.add(joint_spring(f"{j.name} damping", self._moved(j.name), damping=j.damping))
         if j.friction:
-            on = self.coordinate(j.name)
+            on = self._moved(j.name)
             scene.add(joint_friction(f"{j.name} friction", on, coulomb=j.friction, speed=FRICTION_SPEED))
         if j.mimic is not None:
             leader, ratio = j.mimic
-            scene.add(gear(f"{j.name} mimic", self.coordinate(leader), self.coordinate(j.name), ratio=ratio))
+            scene.add(gear(f"{j.name} mimic", self._moved(leader), self._moved(j.name), ratio=ratio))
 
 
 def _joint(j: RobotJoint, a: Any, b: Any) -> Joint:
@@ -293,7 +305,17 @@ def _placed(model: Any, root: str, start: dict[str, float]) -> tuple[dict[str, A
             )
 
             joints[j.name] = RobotJoint(
-                j.name, j.type, j.parent, j.child, frame, frame[:3, :3] @ axis, limits, damping, friction, mimic
+                j.name,
+                j.type,
+                j.parent,
+                j.child,
+                frame,
+                frame[:3, :3] @ axis,
+                limits,
+                damping,
+                friction,
+                mimic,
+                start.get(j.name, 0.0),
             )
     return frames, joints
 
