@@ -118,9 +118,7 @@ class Robot:
         return body.surface(self.surfaces[carrier, joint]) if (carrier, joint) in self.surfaces else body
 
     def coordinate(self, joint: str) -> Coordinate:
-        """Angle or displacement of a joint as the file counts it, so that its limits and targets hold: that of the start, and what
-        it has moved since.
-        """
+        """Angle or displacement of a joint as the file counts it: that of the start, and what it has moved since."""
         moved = self._moved(joint)
         start = self.joints[joint].start
         return moved + start if start else moved
