@@ -99,7 +99,9 @@ def test_fields_show_the_true_motion(pendulums: fmbd.Run, shared_tmp: Path) -> N
 
 def test_fields_without_snapshots_are_those_of_the_last_state(tmp_path: Path) -> None:
     mesh = fmbd.read_gmsh("meshes/rod.py", h=0.5)
-    rod = fmbd.FloatingBody("rod", mesh, density=1e3, elastic=fmbd.materials.linear_elastic(5e6, 0.3), velocity=(3.0, 0.0))
+    rod = fmbd.FloatingBody(
+        "rod", mesh, density=1e3, elastic=fmbd.materials.linear_elastic(5e6, 0.3), velocity=(3.0, 0.0)
+    )
     scene = fmbd.Scene("flight")
     scene.add(rod)
     fmbd.solve(scene, t_end=0.1, dt=0.05).save_fields(tmp_path)

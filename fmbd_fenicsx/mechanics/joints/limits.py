@@ -57,7 +57,8 @@ def joint_limit(
     what = f'Joint limit "{name}"'
     (s, factor), *more = on.terms
     require(
-        not more and factor == 1.0, f"{what} stops one joint coordinate, with a number added or without, and no other sum."
+        not more and factor == 1.0,
+        f"{what} stops one joint coordinate, with a number added or without, and no other sum.",
     )
     require(lower < upper, f"{what}: lower = {lower} must be less than upper = {upper}.")
     require(np.isfinite(lower) or np.isfinite(upper), f"{what}: give lower, upper, or both.")

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import require
 from ...rotations import Array
 from ...run.result import Run
 from ...system.layout import State

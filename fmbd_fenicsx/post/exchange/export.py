@@ -149,8 +149,8 @@ def _save_errors(run: Run, file: Path) -> None:
 
 
 def save_fields(run: Run, folder: str | Path, quantities: Mapping[str, Quantity] | None = None) -> list[Path]:
-    """Displacements and quantities of every elastic body in what the run shows, ``folder/<body>.pvd``, and the whole scene with rigid
-    bodies, joints, springs and obstacles, ``folder/scene.pvd``; collective.
+    """Displacements and quantities of every elastic body in what a run shows, ``folder/<body>.pvd``, and the whole scene with
+    rigid bodies, joints, springs and obstacles, ``folder/scene.pvd``; collective.
 
     ``quantities`` are those of the middle of each cell. Returns the files, that of the scene last.
     """
