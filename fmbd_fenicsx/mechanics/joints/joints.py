@@ -321,7 +321,7 @@ def distance(
     """Massless rod of a ``length`` (m) between a point of a and a point of b; multiplier: its tension (N).
 
     Points are world coordinates of the start; None: the position of a rigid body, the centroid of a surface, the origin of the
-    ground. Without a length the rod is as long as the points are apart then, of a surface that which is given. A function of time,
+    ground. Without a length the rod is as long as the points are apart then (of a surface: that given). A function of time,
     length(t) = L or (L, L', L''), hoists: |x_b - x_a| = L(t); it must be smooth and above zero.
     """
     if not callable(length):
