@@ -60,6 +60,10 @@ LAWS: dict[str, tuple[Callable[[Any], Any], Callable[[float], tuple[float, float
         lambda t: (0.9 / root(t) + 1 / (t * math.log(10)), 0.081 * t / root(t) ** 3 - 1 / (t * t * math.log(10))),
     ),
     "polynomial": (lambda t: np.polyval([1, 2, 3], t), lambda t: (2 * t + 2, 2.0)),
+    "table": (
+        lambda t: np.interp(t**2, [0.0, 0.05, 1.0], [1.0, 2.0, 0.0]),
+        lambda t: (40 * t, 40.0) if t < 0.2 else (-80 * t / 19, -80 / 19) if t < 1.0 else (0.0, 0.0),
+    ),
     "constant": (lambda t: 2.0, lambda t: (0.0, 0.0)),
 }  # fmt: skip
 
@@ -80,12 +84,24 @@ def test_exact_through_functions_of_numpy(name: str) -> None:
         np.testing.assert_allclose(rates(law, t), exact(t), rtol=1e-13, atol=1e-13)
 
 
+@pytest.mark.parametrize(
+    "t, forth, back", [(-1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.5, 1.0, 1.0), (1.0, -2.0, 1.0), (2.0, 0.0, -2.0)]
+)
+def test_a_table_has_the_slope_of_the_side_ahead(t: float, forth: float, back: float) -> None:
+    """In one call of it: differences were 60 about each of its places."""
+    asked = []
+    table = lambda x: (asked.append(x), np.interp(x, (0.0, 1.0, 2.0), [0.0, 1.0, -1.0]))[1]
+    assert rates(table, t) == (forth, 0.0)
+    assert rates(lambda s: table(t - (s - 3.0)), 3.0) == (-back, 0.0)
+    assert len(asked) == 2
+
+
 @pytest.mark.parametrize("name", LAWS)
 def test_what_a_formula_says_is_exact(name: str) -> None:
     """Cases write none: only what holds at all times does."""
     law, exact = LAWS[name]
     formula = TimeFormula.of(law)
-    none = "nested", "pieces", "where", "clipped", "series", "inverse functions", "direction"
+    none = "nested", "pieces", "where", "clipped", "series", "inverse functions", "direction", "table"
     assert (formula is None) == (name in none)
     for t in (0.05, 0.17, 0.31, 3.0) if formula is not None else ():
         np.testing.assert_allclose(formula.rates(t, float(law(t))), exact(t), rtol=1e-13, atol=1e-13)
@@ -336,14 +352,14 @@ def test_terms_that_cancel() -> None:
 
 
 def test_a_table_is_asked_for_many_times_by_one_call() -> None:
-    """Where it takes arrays; rates are those that numbers give, to the last bit."""
+    """Where it takes arrays, and nothing else; rates are those that numbers give, to the last bit."""
     at, s = np.linspace(0.0, 1.0, 11), np.array([0.0, 3.0, 4.0, 3.0, 1.0, 0.0, 0.0, 1.0, 2.0, 2.0, 2.0])
     calls = 0
 
     def table(t: Any) -> Any:
         nonlocal calls
         calls += 1
-        return np.interp(t, at, s)
+        return np.interp(np.asarray(t, dtype=float), at, s)
 
     times = [0.00123 * k for k in range(1, 800)]
     kept = SmoothIntervals()

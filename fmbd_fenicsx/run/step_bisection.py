@@ -139,14 +139,13 @@ class ConstantSteps(Around):
 
     def march(self, h: float, steps: int, observers: Observers = UNOBSERVED) -> int:
         """Up to so many whole steps of size h (s) in one call; how many were made, 0 where :meth:`advance` has to."""
-        if self._size not in (None, h) or not self.stride(h):
-            return 0
-
         # samples are taken by :meth:`advance`, or by :meth:`sample` behind the last step
         steps = int(min(steps, whole_steps(self.system, self.stepper.state.t, h) + observers.samples))
+        if self._size not in (None, h) or steps <= 0 or not self.stride(h):
+            return 0
         judges = self.judges
         seen = Observers(self.watch, None if judges is None else judges.closed, observers.tape)
-        made = self.stepper.march(h, steps, seen) if steps > 0 else 0
+        made = self.stepper.march(h, steps, seen)
         if made:
             self._size, self.local_error = h, max(self.local_error, self.stepper.local_error)
             if self.watch is not None:

@@ -218,14 +218,12 @@ class Loop:
 
         done, steps = self.progress.done, self.schedule.steps
         most = min([_stride(watcher, steps) for watcher in self.watchers] + [self._unkept(done)])
-        made, compiled = 0, bool(self.stepper.stride(h))
-        if compiled:
-            made = self.calls.make(done, most)
+        made = self.calls.make(done, most)
         if made and self.calls.samples:
             cast(ConstantSteps, self.stepper).sample()
         if not made:
             look = self.calls.next_look(done)
-            made = self._in_turn(h, 1 if compiled else min(most, look - done))
+            made = self._in_turn(h, 1 if self.stepper.stride(h) else min(most, look - done))
             if done + made == look and not cast(ConstantSteps, self.stepper).looks_at_each:
                 self._refuses(h)
 

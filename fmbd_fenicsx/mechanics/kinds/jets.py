@@ -135,12 +135,24 @@ class Jet:
         return NotImplemented if known is None else known(*map(jet, inputs))
 
     def __array_function__(self, function: Any, types: Any, inputs: Any, more: Any) -> Any:
-        """``np.where`` of one condition, ``np.clip``, and what makes arrays of numbers, as ``np.stack``."""
+        """``np.where`` of one condition, ``np.clip``, ``np.interp``, and what makes arrays of numbers, as ``np.stack``."""
         if function is np.where and len(inputs) == 3 and not isinstance(inputs[0], np.ndarray):
             return inputs[1] if inputs[0] else inputs[2]
         if function is np.clip and len(inputs) == 3 and not more:
             return min(max(inputs[0], inputs[1]), inputs[2])
+        if function is np.interp and len(inputs) == 3 and not more and isinstance(inputs[0], Jet):
+            return _interpolated(*inputs)
         return function(*map(_in_arrays, inputs), **more)
+
+
+def _interpolated(x: Jet, places: Any, values: Any) -> Jet:
+    """``np.interp``: on a place of the table the slope is that of the side to which x goes, outside of it zero."""
+    at, f = np.asarray(places, dtype=float), np.asarray(values, dtype=float)
+    k = int(at.searchsorted(x.value, "left" if x.first < 0 else "right"))
+    if not 0 < k < len(at):
+        return Jet(float(f[min(k, len(at) - 1)]))
+    slope = float((f[k] - f[k - 1]) / (at[k] - at[k - 1]))
+    return x.through(float(f[k - 1]) + slope * (x.value - float(at[k - 1])), slope, 0.0)
 
 
 def _in_arrays(x: Any) -> Any:

@@ -19,6 +19,7 @@ doi:10.1007/BFb0093947; local coordinates: Munthe-Kaas, doi:10.1007/BF02510919.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from itertools import accumulate, pairwise
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -343,7 +344,8 @@ class RadauStepper(ImplicitStepper):
         assert self._lent is not None
         twin, k = self._twin, len(self.tab.c)
         n, n_q = self._lent.stages.c.n, twin.system.n_q
-        head, q, v, *stages = np.split(kept, np.cumsum([7, n_q, n, k * n, k * n]), axis=-1)
+        ends = accumulate((7, n_q, n, k * n, k * n, kept.shape[-1]), initial=0)
+        head, q, v, *stages = (kept[..., i:j] for i, j in pairwise(ends))
         xi, vs, mult = (x.reshape(*kept.shape[:-1], k, -1) for x in stages)
         q, (v, xi, vs) = twin.places(q), map(twin.forces, (v, xi, vs))
         strays, h = head[..., -2], head[..., -1]
