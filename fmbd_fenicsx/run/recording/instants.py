@@ -39,11 +39,12 @@ def state_between(
     contact = getattr(found, "contact", None)
     if contact is None:
         return found
-    from ...system.sensors.contact import ContactState, gaps_within
+    from ...system.sensors.contact import ContactState, gaps_within, reads_gaps
 
     assert isinstance(found, ContactState)
-    gaps = gaps_within(system, [found])
-    return found if gaps is None else replace(found, contact=replace(contact, gap=gaps[0]))
+    if not reads_gaps(system):
+        return found
+    return replace(found, contact=replace(contact, gap=gaps_within(system, [found])[0]))
 
 
 def states_within(steps: KeptSteps, stepper: TimeStepper, roundoff: float) -> States:

@@ -107,7 +107,7 @@ class Kept:
         c.instant, c.instants, c.roundoff = address_of(self._instants), len(instants), roundoff
         c.passed = c.steps = c.count = 0
         c.each = each
-        self._room["last"][:] = np.nan if began is None else _blocks_of(self.tables.twin, States.of([began]))[0]
+        self._room["last"][:] = np.nan if began is None else blocks_of(self.tables.twin, States.of([began]))[0]
 
     @property
     def began(self) -> State | None:
@@ -164,7 +164,7 @@ class Kept:
 
     def _recorded(self, states: States, *, ends: bool) -> Recorded | None:
         """Records of states, of ``ends`` of steps or within."""
-        blocks, tape = _blocks_of(self.tables.twin, states), self._tape
+        blocks, tape = blocks_of(self.tables.twin, states), self._tape
         system = ctypes.addressof(self.tables.c)
         if self.library.driver_record(system, tape.address, ends, len(blocks), address_of(blocks)):
             self.calls.forget_error()  # who reads them one by one meets it again
@@ -185,7 +185,7 @@ def _states_of(twin: Twin, blocks: Array) -> tuple[States, Array]:
     return States(blocks[:, :1].copy(), q, v, a, blocks[:, at + 3 * n :].copy()), A
 
 
-def _blocks_of(twin: Twin, states: States) -> Array:
+def blocks_of(twin: Twin, states: States) -> Array:
     """The other way, without algorithmic accelerations, (k, numbers of a block)."""
     v, a = twin.velocities(states.v), twin.velocities(states.a)
     return np.concatenate((states.t, twin.configurations(states.q), v, a, np.zeros_like(a), states.lam), axis=1)

@@ -139,12 +139,15 @@ def _name(contact: Any) -> str:
     return named_part("contact", contact)
 
 
-def gaps_within(system: Layout, states: Sequence[State]) -> Array | None:
-    """Gaps (m) of all candidates in states within steps, (k, m); None where no sensor reads any. Forces are those of the step,
-    gaps those of the places in the state. Collective.
+def reads_gaps(system: Layout) -> bool:
+    """Whether a sensor reads gaps."""
+    return any(isinstance(sensor, ContactSensor) and sensor.quantity == "gap" for sensor, _ in system.sensed)
+
+
+def gaps_within(system: Layout, states: Sequence[State]) -> Array:
+    """Gaps (m) of all candidates in states within steps, (k, m): forces are those of the step, gaps those of the places in the
+    state. Collective.
     """
-    if not any(isinstance(sensor, ContactSensor) and sensor.quantity == "gap" for sensor, _ in system.sensed):
-        return None
     return np.array([system.contacts.touch(system, s.t, s.q).geometric for s in states])
 
 

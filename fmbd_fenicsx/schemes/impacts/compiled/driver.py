@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ....errors import ConvergenceError
+from ....kernel_cache import address_of
 from ....linear.complementarity.coulomb import PAINLEVE, PIVOTED
 from ....mechanics.contact.contact_set import ContactSet
 from ....mechanics.contact.limits import LimitPair
@@ -24,10 +25,10 @@ from ....system.compiled.blocks import Ring, block_size, state_of
 from ....system.compiled.calls import Calls
 from ....system.compiled.choice import driver_of
 from ....system.compiled.declarations import enumeration
-from ....system.compiled.kept import Kept
+from ....system.compiled.kept import Kept, blocks_of
 from ....system.compiled.library import CONTACT
 from ....system.compiled.tables.tables import Tables
-from ....system.layout import State
+from ....system.layout import State, States
 from ....system.speed_rows import speed_rows
 from ....system.system import System
 from ...marching import lend_newton
@@ -221,12 +222,19 @@ class ContactDriver(PairTables):
         """Room for records, the same for all marches."""
         if self._tape is None:
             about = self.tables, judged, self.contacts, self.system
-            within = ContactTape(*about)
+            within = ContactTape(*about, gaps=self._gaps)
             kept = Kept(
                 self.library, self.tables, self.calls, within, own=within.numbers, parts=2 * self.rule.impacts + 1
             )
             self._tape = ContactTape(*about, kept)
         return self._tape
+
+    def _gaps(self, states: States, numbers: Array) -> bool:
+        """Write gaps (m) of all points in k states in front of ``numbers`` (k, ..); whether there are some."""
+        blocks = blocks_of(self.tables.twin, states)
+        count, wide = numbers.shape
+        found = self.library.moreau_gaps(ctypes.addressof(self.c), count, address_of(blocks), wide, address_of(numbers))
+        return not found
 
     def march(self, h: float, steps: int, newton: Newton, tape: Tape | None = None) -> int:
         """Make up to so many steps, recorded on the ``tape``; the number made."""

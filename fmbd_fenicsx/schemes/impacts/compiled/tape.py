@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,24 +13,34 @@ from ....system.compiled.recording import Recorded
 from ....system.compiled.tables.layout import TableLayout
 from ....system.compiled.tape import Openness, Tape
 from ....system.layout import State, States
-from ....system.sensors.contact import WORKS, ContactForces, ContactState, gaps_within
+from ....system.sensors.contact import WORKS, ContactForces, ContactState, gaps_within, reads_gaps
 from ....system.system import System
 
 if TYPE_CHECKING:
     from ....system.compiled.kept import Kept
+
+Gaps = Callable[
+    [States, Array], bool
+]  # writes those of all points in k states into numbers (k, ..); False where it cannot
 
 
 class ContactTape(Tape):
     """Room for the records of one march."""
 
     def __init__(
-        self, tables: TableLayout, judged: Openness, contacts: ContactSet, system: System, kept: Kept | None = None
+        self,
+        tables: TableLayout,
+        judged: Openness,
+        contacts: ContactSet,
+        system: System,
+        kept: Kept | None = None,
+        gaps: Gaps | None = None,
     ) -> None:
-        """``system``: with its contacts, which that of the tables lacks."""
+        """``system``: with its contacts, which that of the tables lacks; ``gaps``: who writes those of states within steps."""
         m = len(contacts.pair)
         pairs = len(contacts.pairs)
         d = tables.dim
-        self.contacts, self.whole_system = contacts, system
+        self.contacts, self.whole_system, self._gaps = contacts, system, gaps
         # as record_contacts() of driver/impacts/moreau.c writes them
         self.shapes = [(m,), (m, d), (m, d), (m,), (m, d), (pairs, d), (len(WORKS),), ()]
         self.numbers = sum(int(np.prod(x)) for x in self.shapes)
@@ -53,9 +63,14 @@ class ContactTape(Tape):
         ]
 
     def _within(self, own: Array, states: States) -> Array:
-        """Numbers of contacts of steps, with the gaps of states within them."""
-        gaps = gaps_within(self.whole_system, states.each())
-        return own if gaps is None else np.concatenate((gaps, own[:, gaps.shape[1] :]), axis=1)
+        """Numbers of contacts of steps, with the gaps of states within them where sensors read these."""
+        if not reads_gaps(self.whole_system):
+            return own
+        numbers = own.copy()
+        if self._gaps is None or not self._gaps(states, numbers):
+            gaps = gaps_within(self.whole_system, states.each())
+            numbers[:, : gaps.shape[1]] = gaps
+        return numbers
 
     def forces(self, numbers: Array) -> tuple[ContactForces, Array]:
         """What the numbers of contacts in many records (k, ..) tell, and the times (k,) at which the forces act."""

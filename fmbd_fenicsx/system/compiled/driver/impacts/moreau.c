@@ -325,6 +325,21 @@ static void record_contacts(const Contacts *c, double *to)
     for (int k = 0; k < 8; to += sizes[k++]) memcpy(to, from[k], sizes[k] * sizeof(double));
 }
 
+/* Gaps of all points at so many states, one block behind the other, each in front of ``wide`` numbers; 1 where Python failed. */
+EXPORT int moreau_gaps(Contacts *c, long count, double *block, long wide, double *gap)
+{
+    const System *s = c->system;
+    const long size = 1 + s->nq + 3 * (long)s->nv + s->rows;
+    for (long i = 0; i < count; i++, block += size, gap += wide) {
+        const Block now = block_at(s, block);
+        if (placed(c, now.q)) return 1;
+        for (int k = 0; k < c->pairs; k++)
+            if (touch_pair(c, c->pair + k, now.q, *now.t, &c->aside)) return 1;
+        memcpy(gap, c->aside.gap, c->points * sizeof(double));
+    }
+    return 0;
+}
+
 /* Keep the parts of the newest step, from the state ``begin`` on, in which instants lie, with its contacts. */
 static void keep_parts(const System *s, const Contacts *c, Tape *tape, const double *begin, const double *end)
 {
