@@ -36,8 +36,8 @@ from ..deviation import Deviation
 from ..equal_steps import FEWEST, NEAREST, Orders
 from ..estimates import usual_power
 from ..jumps_in_time import jumps_about_kinks, with_break_points
-from ..larger_steps import MEAN_ORDER
-from ..orders import expected_orders, resolved, seen_by_ends
+from ..larger_steps import MEAN_ORDER, SLOW
+from ..orders import MOST_LEFT, expected_orders, resolved, seen_by_ends
 from .shared_spaces import SharedSpaces
 from .shares import AIM, ITERATED, WHOLE, Tolerance, check_floor, largest_share, share
 from .space_levels import UNENDED
@@ -54,7 +54,7 @@ SMALL = 0.5  # part of what it is allowed up to which an error is not estimated 
 TIGHTER = 0.05  # share of the tolerance that Newton's iteration is brought to leave, where it left too much
 LEAST_NEWTON = 1e-12  # tolerance of Newton's iteration: roundoff is above smaller ones
 SURE = 0.7  # of a tolerance, or an error, that is thought to be small enough, where a run with it has to be made
-# the same of schemes that change their orders, whose error larger steps tell by less than these beside refused ones
+# the same of steps of high orders that a scheme has chosen, whose error larger ones tell by less beside refused ones
 SURER = 0.4
 FALLS = 1.1  # ratio by which errors in space have to fall when meshes are refined
 WORTH = 4  # times the fewest steps of runs that tell errors: what is made after a first look
@@ -415,7 +415,7 @@ def _factor(
 
 def _sure(run: Run) -> float:
     """The share of a scheme's tolerance, thought to be small enough, with which a run is made."""
-    return SURER if MEAN_ORDER in run.counters else SURE
+    return SURER if SLOW * run.counters.get(MEAN_ORDER, 0.0) > MOST_LEFT else SURE
 
 
 def _order(run: Run, tol: Tolerance) -> tuple[float, bool]:
