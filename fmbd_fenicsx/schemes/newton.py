@@ -18,7 +18,7 @@ import numpy as np
 from ..checks import check_fields
 from ..errors import ConvergenceError, require
 from ..rotations import Array
-from ..system.compiled.declarations import constants
+from ..system.compiled.declarations import constants, enumeration
 from ..system.evaluation import Evaluation
 from ..system.lengths import SHUT, farthest
 from ..system.system import System
@@ -26,6 +26,7 @@ from ..system.system import System
 FAR = 1e3  # of the tolerance: a first increment above it is worth a tangent of its own in bodies that change theirs every step
 # share of places that increments may be roundoff of
 (LEFT_OF_PLACES,) = constants("parts.h", "LEFT_OF_PLACES")
+TELLING = enumeration("TELLING", "onestep/alpha.c")["TELLING"]
 FINEST = 1e-13  # increments are known to about this share
 # of SHUT: increments that leave joints closed, as rates of convergence foretell errors to a factor of ten
 CLOSING = 0.1
@@ -140,7 +141,8 @@ class Newton:
                     refreshed, self.theta = refreshed + 1, 0.1
                     continue
 
-            if (left <= 1.0 or size <= 1e-3) and misfit() * size <= 1.0:
+            # rates of several increments tell the error, whatever may have misled them
+            if (left <= 1.0 or size <= 1e-3) and (len(history) >= TELLING or misfit() * size <= 1.0):
                 self.note(left)
                 self.renewals = refreshed
                 return True, history

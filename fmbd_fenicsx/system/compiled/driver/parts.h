@@ -84,6 +84,7 @@ void turn_velocity(System *s, const double *v);
 int inertia(System *s, const double *q, const double *v, const double *a, double t);
 int evaluate(System *s, const double *q, const double *v, const double *a, const double *lam, double t);
 int evaluate_iterate(System *s, int done, const double *q, const double *v, const double *a, const double *lam, double t);
+enum { NO_PUSH, HARD_PUSH, EVERY_PUSH }; /* reactions that have a geometric stiffness in the matrix of a step */
 int prepare(System *s, const double *q, double cd, double ck, const double *lam, int reactions, double t);
 void solution(System *s, double *x, double *y);
 void tree_solution(System *s, const Tree *t, double *x);

@@ -8,6 +8,7 @@
    by its square, N would be anything. These are the iterations of a form whose efforts are unknowns of their own. */
 
 static const double SAME_PULL = 0.1; /* efforts that differ by a smaller share are the same across */
+static const double HARD = 0.01;     /* of a body's radius of gyration: how far reactions that push hard move it within a step */
 
 /* ---- frames of bodies: entries go straight to their places ---- */
 
@@ -104,7 +105,31 @@ static int tangents(System *s, Batch *k, double cd, double ck, double geometric,
     return DONE;
 }
 
-/* The entries of the matrix; ``reactions``: whether these have a geometric stiffness. Of an imaginary part those of stiffness and
+/* Whether some reaction of rigid bodies alone would move one so far that across it is a stiffness beside its inertia: of what is heavy on
+   what is light. */
+static int push_hard(const System *s, double ck, const double *lam)
+{
+    double *push = s->b;
+    memset(push, 0, s->nu * sizeof(double));
+    for (const Batch *k = s->batch; k < s->batch + s->batches; k++)
+        for (long i = 0; k->role == ROW && i < k->n; i++)
+            for (int e = 0; e < k->live; e++) {
+                const int at = k->at[i * k->live + e];
+                if (at < s->nu) push[at] += fabs(k->factor[i] * lam[k->row[i]] * k->out[i * k->outputs + k->entry[e]]);
+            }
+
+    for (const Body *o = s->body; o < s->body + s->bodies; o++) {
+        if (o->field || !o->inertia) continue;
+        const double *pushed = push + o->at_u, *inertia = s->diagonal + o->at_u;
+        double force = 0.0, least = inertia[D];
+        for (int i = 0; i < D; i++) force = fmax(force, pushed[i]);
+        for (int i = D; i < TWIST; i++) least = fmin(least, inertia[i]);
+        if (ck * force > HARD * sqrt(least * o->mass)) return 1;
+    }
+    return 0;
+}
+
+/* The entries of the matrix; ``reactions``: which of these have a geometric stiffness. Of an imaginary part those of stiffness and
    damping alone. */
 static int entries(System *s, const double *q, double cd, double ck, double geometric, const double *lam, int reactions, double t)
 {
@@ -123,12 +148,13 @@ static int entries(System *s, const double *q, double cd, double ck, double geom
         else if (o->inertia && !s->imaginary) rigid_block(s, o, R);
         if (o->told && (verdict = told_block(s, o, t))) return verdict;
     }
+    if (reactions == HARD_PUSH) reactions = push_hard(s, ck, lam) ? EVERY_PUSH : NO_PUSH;
 
     for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
         if (k->role == READ || k->role == TERM) continue;
         if (k->role == ROW && k->mapped && !s->imaginary) mapped_rows(s, k);
         else if (k->role == ROW && !s->imaginary) plain_rows(s, k);
-        if ((k->role == ROW && !reactions) || masses) continue;
+        if ((k->role == ROW && reactions == NO_PUSH) || masses) continue;
         if ((verdict = tangents(s, k, cd, ck, geometric, lam, t))) return verdict;
     }
     for (Rod *k = s->rod; k < s->rod + s->rods && !masses; k++)
@@ -148,26 +174,27 @@ static int assemble(System *s, const double *q, double cd, double ck, double geo
 int prepare_complex(System *s, const double *q, const double *cd, const double *ck, const double *lam, double t)
 {
     s->imaginary = 1;
-    int verdict = entries(s, q, cd[1], ck[1], ck[1], lam, 0, t);
+    int verdict = entries(s, q, cd[1], ck[1], ck[1], lam, NO_PUSH, t);
     s->imaginary = 0;
     memcpy(s->lossy, s->L, s->storage * sizeof(double));
-    if (verdict || (verdict = entries(s, q, cd[0], ck[0], ck[0], lam, 0, t))) return verdict;
+    if (verdict || (verdict = entries(s, q, cd[0], ck[0], ck[0], lam, NO_PUSH, t))) return verdict;
     if ((verdict = factor_complex(s)) || !s->linkable) return verdict;
     return link_efforts(s, cd, ck);
 }
 
-/* The factor at the state evaluated last; without geometric stiffness where that makes the bodies' part indefinite (a large pull
-   on a small inertia). That of parts which Python tells is theirs: lines that are pressed in large steps. */
+/* The factor at the state evaluated last; without geometric stiffness, first that of reactions, where that makes the bodies' part
+   indefinite (a large pull on a small inertia). That of parts which Python tells is theirs: lines that are pressed in large steps. */
 int prepare(System *s, const double *q, double cd, double ck, const double *lam, int reactions, double t)
 {
     s->held = 0;
     int verdict = assemble(s, q, cd, ck, ck, lam, reactions, t), told = 0;
-    if (verdict == SINGULAR) verdict = assemble(s, q, cd, ck, 0.0, lam, 0, t);
+    if (verdict == SINGULAR && reactions != NO_PUSH) verdict = assemble(s, q, cd, ck, ck, lam, NO_PUSH, t);
+    if (verdict == SINGULAR) verdict = assemble(s, q, cd, ck, 0.0, lam, NO_PUSH, t);
     for (int b = 0; b < s->bodies; b++) told |= s->body[b].told != NULL;
     if (verdict != SINGULAR || !told || s->indefinite) return verdict;
 
     s->indefinite = 1;
-    verdict = assemble(s, q, cd, ck, 0.0, lam, 0, t);
+    verdict = assemble(s, q, cd, ck, 0.0, lam, NO_PUSH, t);
     s->indefinite = 0;
     return verdict;
 }

@@ -8,6 +8,7 @@ static const double WORTH = 1e3;      /* first increments, over the tolerance, t
 static const double BEST_RATE = 0.02; /* that a step without a second increment counts on */
 static const double AS_NEW = 0.1;     /* of the tolerance: what a matrix of an earlier step may leave; its own leaves less than is told */
 enum { RENEWALS = 10 };               /* of tangents of fields in a step at most */
+enum { TELLING = 4 };                 /* increments whose rate tells the error, whatever pulls may have misled them */
 
 /* Weights of the parabola through the last steps (less at the start) at the time t. */
 void predictor(const Block *past, int known, double t, double *w)
@@ -218,8 +219,8 @@ static int linearise(System *s, const double *p, AlphaStep *k)
                   && (s->renewed || s->bridged || cheap || k->misfit > SLOW_TURN || misled(s) || other_slopes(s, k->damp, k->scale));
     if (!(k->far || turning || impatient)) return DONE;
 
-    /* what reactions push across counts where the iteration is slow without it; as predicted it may be far off */
-    int reactions = (k->done > 1 && slow) || impatient;
+    /* what reactions push across counts where they push hard, or the iteration is slow without it; as predicted it may be far off */
+    const int reactions = (k->done > 1 && slow) || impatient ? EVERY_PUSH : HARD_PUSH;
     if (!k->far) forget(&k->told);
     s->led = later;
     int verdict = prepare(s, k->out.q, k->damp, k->scale, k->lam, reactions, k->t);
@@ -371,7 +372,7 @@ static int iterate(System *s, double *p, AlphaStep *k)
         else if (converged > 0 && s->stiff && k->hesitations < HESITATIONS && undecided(s, k->scale, k->x)) {
             k->hesitations++;
             converged = 0;
-        } else if (s->bridged || k->misfit * k->sizes[k->done - 1] > 1.0) converged = 0;
+        } else if (s->bridged || (k->done < TELLING && k->misfit * k->sizes[k->done - 1] > 1.0)) converged = 0;
     }
     return k->done > (int)p[PATIENCE] + 1 && !s->fields && strayed(s, p, k->xi, k->begun) ? NEWTON : DONE;
 }
