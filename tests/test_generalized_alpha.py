@@ -232,7 +232,7 @@ def test_many_loops_through_the_flat_position(loops: int, dt: float, caplog: Any
 @pytest.mark.parametrize("form", [fmbd.Index3(), fmbd.GGL()])
 @pytest.mark.parametrize("dim", [2, 3])
 def test_heavy_loads_on_light_links(form: Any, dim: int) -> None:
-    """A load of 1e3 kg on links of a gram and less swings as on a string; tangents without what it pulls across made 62 halves a step."""
+    """A load of 1e3 kg on links of 1e-6 to 1 kg swings; tangents without what it pulls across made 62 halves a step."""
     masses, axis = (1e-6, 1e-4, 1e-2, 1e-1, 1.0), np.array([np.sin(0.3), -np.cos(0.3), 0.0])[:dim]
     scene, before = fmbd.Scene("hoist", gravity=-9.81 * np.eye(dim)[1]), fmbd.ground
     for i, mass in enumerate((*masses, 1e3)):
