@@ -100,7 +100,12 @@ class OwnMarch(MarchingStepper):
         return super()._made(h, count, most, observers)
 
     def _own_room(
-        self, *, error: Array | None = None, orders: ctypes.Structure | None = None, **numbers: float
+        self,
+        *,
+        error: Array | None = None,
+        between: Array | None = None,
+        orders: ctypes.Structure | None = None,
+        **numbers: float,
     ) -> OwnRoom:
         """Its error control, with what the scheme has of its own."""
         norm, control, (harsh, mild) = self.norm, self.control, REFUSED
@@ -109,7 +114,7 @@ class OwnMarch(MarchingStepper):
             "safety": control.safety, "harsh": harsh, "mild": mild, "patience": PATIENCE,
             "given": control.given, "order": control.order, "shrink": control.shrink, "grow": control.grow, "least": LEAST_ERROR,
         }  # fmt: skip
-        return OwnRoom(self._twin, norm.deforming, {**common, **numbers}, error=error, orders=orders)
+        return OwnRoom(self._twin, norm.deforming, {**common, **numbers}, error=error, between=between, orders=orders)
 
     def _lend_own(self, own: OwnRoom) -> None:
         """What error control has seen so far, and where the steps of a call end."""

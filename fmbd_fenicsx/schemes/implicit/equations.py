@@ -82,6 +82,11 @@ class Equations(Remembering):
         """Take the mass matrix of a state for the normal directions, where they need it."""
 
     # -- residuals ----------------------------------------------------------------------------------------------
+    @property
+    def looks_between(self) -> bool:
+        """Whether accelerations are known at any instant of a step: memories are at its points alone, as efforts of ties are."""
+        return self.dense and self.n_mult == self.levels * self.system.n_lam and not collocated(self.system)
+
     def residual(self, t: Array, p: Points) -> tuple[Array, Array]:
         """r_kin (k, n_v) and r_low (k, n_v + n_mult) of (1), (2) at the times t (k,)."""
         raise NotImplementedError

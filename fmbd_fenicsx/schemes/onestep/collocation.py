@@ -25,6 +25,7 @@ class Tableau:
     basis: Array  # (s + 1, s + 1): powers of t / h to Lagrange polynomials of 0, c
     stage_basis: Array  # (s, s): the same of c
     middle: Array  # (s,): Lagrange polynomials of 0, c in the middle of a step, that of 0 left out
+    between: Array  # (2 + 3 s,): see _between()
 
     def frequencies(self, h: float) -> Array:
         """Eigenvalues over h, (p,) in 1/s; each part divided by itself, as in radau.c: complex division rounds otherwise."""
@@ -56,7 +57,8 @@ def tableau(stages: int) -> Tableau:
     nodes = np.append(0.0, c)
     basis, stage_basis = (np.linalg.inv(z[:, None] ** np.arange(len(z))) for z in (nodes, c))
     middle = lagrange_values(nodes, np.array([0.5]))[0, 1:]
-    return Tableau(c, W, values.astype(complex), doubled, inverse, gamma, error, basis, stage_basis, middle)
+    between = _between(c, A, error, basis)
+    return Tableau(c, W, values.astype(complex), doubled, inverse, gamma, error, basis, stage_basis, middle, between)
 
 
 def _nodes(stages: int) -> Array:
@@ -65,6 +67,20 @@ def _nodes(stages: int) -> Array:
     roots = np.sort(series.roots().real)
     roots -= series(roots) / series.deriv()(roots)  # to the last digit
     return np.append(0.5 * (1 + roots[:-1]), 1.0)
+
+
+def _between(c: Array, A: Array, error: Array, basis: Array) -> Array:
+    """Where the motion through the stages is looked at once more: the middle of the widest gap between them, as a share of the
+    step; what makes the defect there as large as that of ``error`` where forces are t^s; weights of the stages there, of places,
+    of rates times h, and of what stages alone tell.
+    """
+    nodes, powers = np.append(0.0, c), np.arange(len(c) + 1)
+    at = float(0.5 * (nodes[:-1] + nodes[1:])[np.diff(nodes).argmax()])
+    places = at**powers @ basis[:, 1:]
+    rates = powers * at ** np.maximum(powers - 1, 0) @ basis[:, 1:]
+    reached = A @ c ** len(c)
+    alike = abs(error @ reached / (at ** len(c) - rates @ reached))
+    return np.concatenate(([at, alike], places, rates, lagrange_values(c, np.array([at]))[0]))
 
 
 def _embedded_weights(c: Array, at_start: float) -> Array:

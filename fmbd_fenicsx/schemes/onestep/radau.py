@@ -10,7 +10,8 @@ index 3: 2s-1, s, s-1; index 2 and GGL: 2s-1, 2s-1, s; index 1 and state space: 
 One Newton iteration solves the stages together: the eigenvectors of A^-1 decouple them into one system for each complex pair
 (and, for an odd number of stages, a real one) with the frequencies gamma / h. Stages are evaluated in one call. Tangent and
 factors are kept while Newton converges fast and the step changes little. The local error is estimated by an embedded formula of
-order s, filtered by the real matrix gamma_0 / h.
+order s, filtered by the real matrix gamma_0 / h; and once more, but for elastic fields, ties and laws with a memory, by what the
+motion leaves of the equations between two stages, which is as large where that is smooth.
 
 Sources: Hairer and Wanner, Solving ODEs II, sections IV.8 and VII.4, doi:10.1007/978-3-642-05221-7; Hairer, Lubich and Roche,
 doi:10.1007/BFb0093947; local coordinates: Munthe-Kaas, doi:10.1007/BF02510919.
@@ -24,7 +25,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from ...errors import require
+from ...errors import CallbackError, ConvergenceError, LinearSolveError, require
 from ...linear.condensation import StepSolver
 from ...linear.frequency_solvers import often
 from ...rotations import Array
@@ -38,9 +39,11 @@ from ...system.element_memory import memory_error
 from ...system.layout import State, States
 from ...system.serialisation import plain
 from ...system.system import System
+from ..consistent import arrived
 from ..control import DEARLY, ESTIMATE, StepControl, moves, turn_limit, turns_too_far
 from ..dae import GGL, Form, OfForm, Points
 from ..error_norm import check_controlled
+from ..implicit.equations import Start
 from ..implicit.implicit_stepper import ImplicitStepper
 from ..newton import Newton
 from .collocation import Tableau, controlled, tableau
@@ -249,25 +252,53 @@ class RadauStepper(ImplicitStepper):
 
     # -- error --------------------------------------------------------------------------------------------------
     def _estimate(self, h: float, points: Points) -> float:
-        s, tab, iteration = self.state, self.tab, self.iteration
-        pencil = iteration.filter()
+        s, tab = self.state, self.tab
 
         # what the start of the step leaves of the constraints is no error of the step
-        dq, v, a = self.eq.consistent_start(s)
+        start = dq, v, a = self.eq.consistent_start(s)
         moved, change = points.xi - dq, points.v - v
         if self.scheme.form.index == 3:  # its velocities follow all increments of the stages
             change = change - np.outer(tab.W.sum(axis=1) / h, dq)
         kin = v + tab.error @ moved / h - self.eq.corrections(self.mult[None], 1)[0]
         push = a + tab.error @ change / h
 
-        # filtered: components that the step does not resolve would be overestimated
-        no_rows = np.zeros(self.eq.n_mult)
-        low = np.concatenate((-self.eq.inertia(iteration.tangent, push), no_rows))
-        errors, _ = pencil.solve(-kin[None], low[None])
+        error = max(self._filtered_size(h, -kin, push), self._memory_error(h))
+        left = self._left_between(h, points, start) if self.eq.looks_between else None
+        return error if left is None else max(error, self._filtered_size(h, *left))
+
+    def _filtered_size(self, h: float, kin: Array, push: Array) -> float:
+        """The norm of errors by what is left of the rates of xi and by accelerations that are missing, like v. Filtered:
+        components that the step does not resolve would be overestimated.
+        """
+        iteration = self.iteration
+        pencil = iteration.filter()
+        low = np.concatenate((-self.eq.inertia(iteration.tangent, push), np.zeros(self.eq.n_mult)))
+        errors, _ = pencil.solve(kin[None], low[None])
         e_q, e_v = errors.reshape(2, -1)
         # what forces are off by pushes; multipliers turn with their joints, whose errors light bodies would tell as huge ones
-        pushed = push - tab.gamma / h * e_v if self.eq.levels and self.eq.dense else None
-        return max(self._error_size(h, pencil, e_q, e_v, pushed), self._memory_error(h))
+        pushed = push - self.tab.gamma / h * e_v if self.eq.levels and self.eq.dense else None
+        return self._error_size(h, pencil, e_q, e_v, pushed)
+
+    def _left_between(self, h: float, points: Points, start: Start) -> tuple[Array, Array] | None:
+        """What the motion through the stages leaves of the equations between two of them, None where these have no solution: a
+        force that bends within a step may leave nothing of one such sum by luck, hardly of two.
+        """
+        system, eq, origin = self.system, self.eq, self.state
+        dq, v, _ = start
+        (at, alike), (places, rates, levels) = self.tab.between[:2], self.tab.between[2:].reshape(3, -1)
+        moved, change = points.xi - dq, points.v - v
+        xi = dq + places @ moved
+        there = State(
+            origin.t + at * h, system.compose(origin.q, xi), v + places @ change, rates @ change / h, origin.lam
+        )
+        try:
+            there = arrived(system, there, self.solver, places=False)
+        except (CallbackError, ConvergenceError, LinearSolveError, np.linalg.LinAlgError):
+            return None
+        fast = there.v - eq.corrections((levels @ points.mult)[None], 1)[0]
+        return alike * (rates @ moved / h - system.rate(xi[None], fast[None])[0]), alike * (
+            there.a - rates @ change / h
+        )
 
     def _memory_error(self, h: float) -> float:
         """The same of the memories of elements."""
@@ -283,8 +314,9 @@ class RadauStepper(ImplicitStepper):
         own = None
         if self.adaptive:
             own = self._own_room(
-                error=tab.error, places=0 in self.scheme.form.levels, turning=self._turning,
-                most=2.0 * self.newton.max_iterations, troubled=TROUBLED if self.eq.dense else 0, **self.eq.size_grid,
+                error=tab.error, between=tab.between if self.eq.looks_between else None,
+                places=0 in self.scheme.form.levels, turning=self._turning, most=2.0 * self.newton.max_iterations,
+                troubled=TROUBLED if self.eq.dense else 0, **self.eq.size_grid,
             )  # fmt: skip
         room = ImplicitRoom(stages, coefficients, own=own)
         room.c.longer, room.c.least_share = LONGER, LEAST_SHARE

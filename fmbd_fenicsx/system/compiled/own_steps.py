@@ -35,8 +35,8 @@ def deflections_of(system: System, deforming: list[tuple[int, Any]], store: Stor
 
 
 class OwnRoom:
-    """Lends an error control: parts that deform, numbers by their names in own_steps.c; ``error``: weights of an estimate,
-    ``orders``: of BDF.
+    """Lends an error control: parts that deform, numbers by their names in own_steps.c; ``error``, ``between``: weights of
+    estimates, ``orders``: of BDF.
     """
 
     def __init__(
@@ -46,6 +46,7 @@ class OwnRoom:
         numbers: Mapping[str, float],
         *,
         error: Array | None = None,
+        between: Array | None = None,
         orders: ctypes.Structure | None = None,
     ) -> None:
         self._store, self.orders, self._twin = Store(), orders, twin
@@ -57,6 +58,7 @@ class OwnRoom:
         self.c = OwnSteps(
             deforming=len(deforming), deflection=self._store.structure(self._deflections),
             error=None if error is None else self._store.address(error),
+            between=None if between is None else self._store.address(between),
             orders=None if orders is None else ctypes.addressof(orders),
             **{name: address for name, (_, address) in self._arrays.items()}, **numbers,
         )  # fmt: skip

@@ -267,6 +267,43 @@ static int error_of_memories(System *s, const Implicit *o, double h, double *err
     return remembered_error(s, g, &c->rtol, points, &begun, 1, 1.0, *g->s, error);
 }
 
+/* What the motion through the stages leaves of the equations between two of them, from a start at dq and v at time t, in kin and push as
+   filtered() takes them. ``room``: 4 n, a size of a point, nq and that of driver_arrive(). */
+static int left_between(System *s, const Implicit *o, double h, double t, const double *dq, const double *v, double *kin, double *push,
+                        double *room)
+{
+    const Stages *g = o->stages;
+    const int n = g->n, k = g->points, width = g->size - n;
+    const double *at = o->own->between, *places = at + 2, *rates = places + k, *levels = rates + k;
+    double *xi = room, *fast = xi + n, *a = fast + n, *mult = a + n, *q = mult + g->size, *lam = q + s->nq;
+    const Sparse directions = directions_of(g);
+    int verdict;
+    memset(kin, 0, n * sizeof(double));
+    memset(push, 0, n * sizeof(double));
+    memset(mult, 0, width * sizeof(double));
+    memcpy(xi, dq, n * sizeof(double));
+    memcpy(fast, v, n * sizeof(double));
+
+    for (int j = 0; j < k; j++) {
+        for (int i = 0; i < n; i++) {
+            const double moved = g->xi[j * n + i] - dq[i], faster = g->v[j * n + i] - v[i];
+            xi[i] += places[j] * moved;
+            fast[i] += places[j] * faster;
+            kin[i] += at[1] * rates[j] / h * moved;
+            push[i] -= at[1] * rates[j] / h * faster;
+        }
+        add(mult, levels[j], g->mult + j * width, width);
+    }
+
+    configuration(s, g->q0, xi, q);
+    if ((verdict = driver_arrive(s, 0, t + at[0] * h, o->own->length, q, fast, a, lam, lam + s->rows))) return verdict;
+    if (g->levels > 1) apply_real(&directions, -1.0, mult + g->m, fast);
+    for (int b = 0; b < s->bodies; b++) rate_of(xi + TWIST * b, fast + TWIST * b);
+    add(kin, -at[1], fast, n);
+    add(push, at[1], a, n);
+    return DONE;
+}
+
 /* The error of the stages of a step from a state with these multipliers, over the tolerance. */
 static int own_error(System *s, Implicit *o, double h, const Block *now, const double *mult, double *work, double *error)
 {
@@ -299,7 +336,15 @@ static int own_error(System *s, Implicit *o, double h, const Block *now, const d
     if ((verdict = filtered(s, o, kin, push, change, work, rest))) return verdict;
     const double *parts[3] = {change, change + n, push};
     *error = step_error(s, o, parts, kinds, rest);
-    return error_of_memories(s, o, h, error);
+    if ((verdict = error_of_memories(s, o, h, error)) || !c->between) return verdict;
+
+    /* forces that bend within a step may leave nothing of one such sum by luck, hardly of two */
+    verdict = left_between(s, o, h, *now->t, dq, v, kin, push, rest);
+    if (verdict) return verdict == NEWTON || verdict == SINGULAR ? DONE : verdict;
+    if ((verdict = filtered(s, o, kin, push, change, work, rest))) return verdict;
+    const double between = step_error(s, o, parts, kinds, rest);
+    *error = between < *error ? *error : between; /* nan stays */
+    return DONE;
 }
 
 /* The size that follows an accepted step of h with ``left`` to go before it: _next_size() of radau.py. */

@@ -27,6 +27,7 @@ typedef struct OwnSteps {
     double turning, most;              /* of Radau: steps are to turn by so much less; increments, twice */
     double trouble, troubled;          /* of Radau: two for each failure of late, less one for each step; with more Python makes the step */
     const double *error;               /* weights of slopes, or of Radau's stages, in the error */
+    const double *between;             /* of Radau, where it looks between stages too: see _between() of collocation.py; or NULL */
     struct Orders *orders;             /* of BDF */
 } OwnSteps;
 
