@@ -13,7 +13,7 @@ import pytest
 from fmbd_fenicsx.linear.blocks.complex_factor import Symmetric
 from fmbd_fenicsx.schemes.impacts.compiled import structures as contact
 from fmbd_fenicsx.system.compiled import declarations, explicit, implicit, march, own_steps, tape
-from fmbd_fenicsx.system.compiled.library import CONTACT, CORE, _source
+from fmbd_fenicsx.system.compiled.library import CONTACT, CORE, IMPLICIT, _source
 from fmbd_fenicsx.system.compiled.states import convergence, field_stages, stage_patterns, stages
 from fmbd_fenicsx.system.compiled.tables.structures import structure
 
@@ -47,7 +47,7 @@ def statements(name: str, kind: type[ctypes.Structure]) -> list[str]:
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
 @pytest.mark.parametrize("dim", [2, 3])
-@pytest.mark.parametrize("unit", [*CORE, CONTACT])
+@pytest.mark.parametrize("unit", [*CORE, CONTACT, IMPLICIT])
 def test_structures_are_those_of_the_compiler(dim: int, unit: str, tmp_path: Path) -> None:
     claims = [x for name, kind in told(dim, unit).items() for x in statements(name, kind)]
     source = tmp_path / "claims.c"

@@ -242,7 +242,7 @@ def test_rows_are_exchanged_where_pivots_are_small(name: str) -> None:
 def test_iterations_end_where_python_says(rates: Rates, adaptive: bool) -> None:
     """Increments that fall, stay and grow, by roundoff or not: all numbers of the two judges."""
     _, system, _ = pair_of(MAKERS["plane"])
-    judge = system.evaluator.library.judge_increment
+    judge = system.evaluator.implicit.judge_increment
     rng, outcomes = np.random.default_rng(7), set()
     for _ in range(400):
         size, falls = 10.0 ** rng.uniform(-3, 4), rng.uniform(-2.5, 0.3)

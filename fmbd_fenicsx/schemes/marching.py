@@ -116,6 +116,10 @@ class MarchingStepper(CompiledSteps):
     _began: State | None = None  # where the newest step of a call began
 
     # -- what a scheme says -------------------------------------------------------------------------------------------------
+    def _library(self, states: DriverStates) -> Any:
+        """The driver that has its steps."""
+        return states.library
+
     def _room(self, states: DriverStates) -> int:
         """How many numbers its steps need to work in."""
         raise NotImplementedError
@@ -226,7 +230,7 @@ class MarchingStepper(CompiledSteps):
         if self._used is None or self._used.tables is not states.tables:
             size = self._own(factored=False).shape[1]
             room = self._room(states)
-            self._used = March(states.library, states.tables, states.calls, self.maker, own=size, room=room)
+            self._used = March(self._library(states), states.tables, states.calls, self.maker, own=size, room=room)
             lend_newton(self._used.parameters, self.system, self.newton)
         return self._used
 

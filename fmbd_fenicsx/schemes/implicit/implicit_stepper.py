@@ -80,6 +80,10 @@ class ImplicitStepper(OwnMarch):
         if not self.eq.dense:
             self._warn_of_roundoff(acceleration)
 
+    def _library(self, states: DriverStates) -> Any:
+        """With stages of implicit schemes."""
+        return states.implicit
+
     def _warn_of_roundoff(self, acceleration: float) -> None:
         """Say that a spring is too stiff for Newton's iteration with one tangent for several configurations."""
         name, lost = foretold_efforts(self.system).lost(self.state.q)

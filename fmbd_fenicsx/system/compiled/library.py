@@ -1,8 +1,8 @@
 """The driver as a shared library, built at first use and kept (:mod:`fmbd_fenicsx.kernel_cache`).
 
 It is made of units, files that are compiled by themselves: the core and its schemes, which stand above the folders of the driver,
-and what a scene may lack, which is compiled and linked only for systems that have it. Without a C compiler there is none, which
-is said once; everything then runs in NumPy.
+and what a scene or its scheme may lack, which is compiled and linked only where it is there. Without a C compiler there is none,
+which is said once; everything then runs in NumPy.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ FLAGS = (
     "-fvisibility=hidden",
     "-std=gnu11",
 )
-CORE = ("schemes", "driver", "implicit_schemes")  # units of every scene, to be compiled side by side, the longest first
+CORE = ("schemes", "driver")  # units of every scene, to be compiled side by side, the longest first
 # whose loops are short or jump: vectors gain nothing there, and double the time to compile
 SPARSE = ("implicit_schemes",)
-RODS, CONTACT = "rods/rods", "impacts/moreau"
+RODS, CONTACT, IMPLICIT = "rods/rods", "impacts/moreau", "implicit_schemes"
 EXPORTED = re.compile(r"^EXPORT (\w+) (\w+)\((.*?)\)", re.MULTILINE | re.DOTALL)
 TYPES = {"int": ctypes.c_int, "long": ctypes.c_long, "double": ctypes.c_double, "void": None}
 

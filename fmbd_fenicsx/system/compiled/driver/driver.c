@@ -1,6 +1,6 @@
-/* The core of the driver: the evaluation, its records, the solver. Beside it, compiled at the same time, stand schemes.c and
-   implicit_schemes.c; what a scene may lack are units of their own, compiled and linked where it is there (library.py), and so
-   are the kernels of kinds. For the plane (-DDIM=2) and for space (-DDIM=3). */
+/* The core of the driver: the evaluation, its records, the solver. Beside it, compiled at the same time, stands schemes.c; what a scene
+   or its scheme may lack are units of their own, compiled and linked where it is there (library.py), and so are the kernels of kinds.
+   For the plane (-DDIM=2) and for space (-DDIM=3). */
 
 #include "tables.h"
 #include "algebra/rotations.c"

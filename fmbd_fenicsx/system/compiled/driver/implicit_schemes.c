@@ -1,4 +1,4 @@
-/* Stage systems of implicit schemes, and steps of Radau and BDF: compiled beside the core, at the same time. */
+/* Stage systems of implicit schemes, and steps of Radau and BDF: a unit of runs by implicit schemes. */
 
 #include "tables.h"
 #include "algebra/rotations.c"

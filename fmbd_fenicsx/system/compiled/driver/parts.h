@@ -148,8 +148,8 @@ static inline Block block_at(const System *s, double *x)
 }
 
 /* implicit_schemes.c */
-int radau_step(System *s, double *p, double *room, const Block *past, int known, Block out);
-int bdf_step(System *s, double *p, double *room, const Block *past, int known, Block out);
+PART int radau_step(System *s, double *p, double *room, const Block *past, int known, Block out);
+PART int bdf_step(System *s, double *p, double *room, const Block *past, int known, Block out);
 
 /* elastic_books.c: the books of a step of size h. The step counts. What its record tells of contacts. */
 typedef struct ElasticContact ElasticContact;

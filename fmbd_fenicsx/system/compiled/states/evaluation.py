@@ -10,10 +10,12 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeGuard
 
 import numpy as np
 
+from ....errors import require
 from ....kernel_cache import address_of, addresses_of
 from ....rotations import Array
 from ...evaluation import Evaluation
@@ -21,6 +23,7 @@ from ...evaluator import NumPyEvaluator, Seen
 from ...system import System
 from ..calls import Calls
 from ..declarations import enumeration
+from ..library import IMPLICIT, driver_library, units_of
 from ..order import LOCKED
 from ..tables.resting import Twin
 from ..tables.structures import zeros_of
@@ -135,6 +138,16 @@ class DriverStates(CompiledGeometry):
         self._points = LocalPoints(self)
         tables = self.tables
         self.recalls = bool(tables.sampled or tables.remembering)  # whether elements have a memory
+
+    @cached_property
+    def implicit(self) -> Any:
+        """The driver with the stages of implicit schemes beside, which are compiled where one of these runs."""
+        made = driver_library(self.system.motions.dim, (*units_of(self.twin.system), IMPLICIT))
+        require(
+            made is not None,
+            "The steps of implicit schemes are not compiled, for the reason above; CC=none runs all in NumPy.",
+        )
+        return made
 
     def tables_of(self) -> Tables:
         """New tables of the system."""

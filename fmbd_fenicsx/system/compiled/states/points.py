@@ -73,7 +73,7 @@ class LocalPoints:
             metric = [address_of(x) for x in (W[0].start, W[0].on, W[1])]
 
         states.anew = True
-        if not states.ask(states.library.driver_points, len(t), *at, *metric, *room.at[7:]):
+        if not states.ask(states.implicit.driver_points, len(t), *at, *metric, *room.at[7:]):
             return None
         told = PointsTold(*[x.copy() for x in room.arrays[7:11]])
         return told if np.logical_and.reduce(np.isfinite(told.sums), axis=None) else None

@@ -222,7 +222,7 @@ class StageStructure:
         given.put(state.q, state.v, state.a, mult)
         states.anew = True
         length = self.couplings.system.length
-        if not states.ask(states.library.driver_stage_tangent, self.address, length, state.t, *given.at):
+        if not states.ask(states.implicit.driver_stage_tangent, self.address, length, state.t, *given.at):
             return None
         return self.parted(given.arrays[-1].copy())
 
@@ -238,7 +238,7 @@ class StageStructure:
         """d rate(xi, v) / d xi, and T with v = T rate(xi, v): data of their pattern."""
         J, T = np.empty((2, len(self.couplings.turns)))
         given = [np.ascontiguousarray(x) for x in (xi, v)]  # alive until C is done
-        self.states.library.driver_stage_turning(self.states.address, *addresses_of((*given, J, T)))
+        self.states.implicit.driver_stage_turning(self.states.address, *addresses_of((*given, J, T)))
         return J, T
 
     def weigh(self, M: Array) -> None:

@@ -191,7 +191,7 @@ class StageRoom(PointRoom):
         structure = self.structure
         structure.data(tangent, self.data)
         self.arrays["s"][:, 0], self.arrays["s"][:, 1] = s.real, s.imag
-        factors = self.states.library.driver_stage_factors
+        factors = self.states.implicit.driver_stage_factors
         while (verdict := factors(self.address, structure.address, self._data_at)) == SIZE:
             self._room *= 2
             self._make_room()
@@ -202,5 +202,5 @@ class StageRoom(PointRoom):
         p, n, multipliers = len(kin), self.structure.n, self.structure.size - self.structure.n
         given = [np.ascontiguousarray(x, dtype=complex) for x in (kin, low)]
         change, mult, judged = np.empty((p, 2 * n), complex), np.empty((p, multipliers), complex), np.empty((p, 2))
-        self.states.library.driver_stage_solve(self.address, p, *addresses_of((*given, change, mult, judged)))
+        self.states.implicit.driver_stage_solve(self.address, p, *addresses_of((*given, change, mult, judged)))
         return change, mult, judged
