@@ -10,7 +10,7 @@ import numpy as np
 
 from ..checks import array, vector
 from ..errors import InputError
-from ..rotations import Array
+from ..rotations import Array, Motions
 from .placements import Part
 
 # the order of the parts of a system: equations of the user's own, insides of rigid bodies, lines, modes; then those
@@ -104,6 +104,10 @@ class Body:
         """Whether its motion has an error because modes are left out, which :meth:`with_refined_basis` makes smaller."""
         return False
 
+    @classmethod
+    def prepare(cls, bodies: Sequence[Any]) -> None:
+        """Make what all bodies of this kind in a scene need, once for all of them; collective."""
+
     def placed(self, site: Site) -> Placed | None:
         """Its part of a system, None for a body without local coordinates; collective."""
         return None
@@ -153,3 +157,10 @@ def start_velocity(what: str, value: Any, size: int) -> Array:
     if not max(map(abs, numbers)) < FASTEST:
         raise InputError(f"{what} {value} must be below {FASTEST:g}.")
     return found
+
+
+def rigid_twist(name: str, m: Motions, velocity: Any, angular_velocity: Any) -> Array:
+    """Twist (n_twist,) of a body at the start, zero where none is given."""
+    what = f'Body "{name}"'
+    v = start_velocity(f"{what}: velocity", velocity, m.dim)
+    return np.concatenate((v, start_velocity(f"{what}: angular_velocity", angular_velocity, m.n_rot)))

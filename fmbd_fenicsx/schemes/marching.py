@@ -111,15 +111,12 @@ class MarchingStepper(CompiledSteps):
     solver: StepSolver
 
     limit: StepLimit | None = None  # of explicit schemes
+    staged: ClassVar[bool] = False  # whether its steps are a unit by itself, with the stages of implicit schemes
     leaves_masses: ClassVar[bool] = True  # whether the factor at the end of a step is that of the masses there
     _used: March | None = None
     _began: State | None = None  # where the newest step of a call began
 
     # -- what a scheme says -------------------------------------------------------------------------------------------------
-    def _library(self, states: DriverStates) -> Any:
-        """The driver that has its steps."""
-        return states.library
-
     def _room(self, states: DriverStates) -> int:
         """How many numbers its steps need to work in."""
         raise NotImplementedError
@@ -230,7 +227,8 @@ class MarchingStepper(CompiledSteps):
         if self._used is None or self._used.tables is not states.tables:
             size = self._own(factored=False).shape[1]
             room = self._room(states)
-            self._used = March(self._library(states), states.tables, states.calls, self.maker, own=size, room=room)
+            library = states.implicit if self.staged else states.library
+            self._used = March(library, states.tables, states.calls, self.maker, own=size, room=room)
             lend_newton(self._used.parameters, self.system, self.newton)
         return self._used
 

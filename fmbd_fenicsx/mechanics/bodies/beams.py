@@ -24,12 +24,12 @@ import numpy as np
 
 from ...checks import check_fields, number, typed, vector, whole
 from ...errors import InputError, near, require
-from ...rotations import Array
-from ..body import MODES, Body, Placed, Site
+from ...rotations import Array, motions
+from ..body import MODES, Body, Placed, Site, rigid_twist
 from ..cross_sections import Shape, rectangle, ring, shear_modulus
 from ..reduction.reduced import ReducedConstants, placed_modes
-from .beam_elements import BeamElements
-from .bodies import RigidBody, Surface
+from .beam_elements import BeamElements, constants_of
+from .bodies import Surface
 
 
 @dataclass(frozen=True)
@@ -183,10 +183,7 @@ class Beam(Body):
 
     def start_twist(self) -> Array:
         """Rigid velocity at the start, (n_twist,)."""
-        J = 1.0 if self.dim == 2 else (1.0, 1.0, 1.0)
-        return RigidBody(
-            self.name, 1.0, J, velocity=self.velocity, angular_velocity=self.angular_velocity
-        ).start_twist()
+        return rigid_twist(self.name, motions(self.dim), self.velocity, self.angular_velocity)
 
     def start_local(self) -> tuple[Array, Array]:
         """The beam starts undeformed."""
@@ -204,8 +201,15 @@ class Beam(Body):
     @cached_property
     def constants(self) -> ReducedConstants:
         """What the time loop needs."""
-        return BeamElements(self).constants()
+        return constants_of([self])[0]
+
+    @classmethod
+    def prepare(cls, bodies: Sequence[Any]) -> None:
+        """The constants of all beams that have none yet."""
+        new = [beam for beam in bodies if "constants" not in vars(beam)]
+        for beam, made in zip(new, constants_of(new), strict=True):
+            vars(beam)["constants"] = made
 
     def centre_line(self, per_element: int = 4) -> Array:
         """Points of the centre line from the centre of mass, and their modes, (n, d, 1 + modes); world axes of the start, m."""
-        return BeamElements(self).centre_line(per_element)
+        return BeamElements([self]).centre_line(per_element)

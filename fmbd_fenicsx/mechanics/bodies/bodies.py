@@ -20,7 +20,7 @@ from ...fem.density import Density, check_density
 from ...fem.elastic_forms import ElasticForms
 from ...fem.loads import Load
 from ...rotations import Array, motions
-from ..body import FIELDS, ORIGIN, Body, Placed, Site, start_velocity
+from ..body import FIELDS, ORIGIN, Body, Placed, Site, rigid_twist
 from ..placements import Attached, Chord, MeanAxis, Part
 
 if TYPE_CHECKING:
@@ -163,10 +163,7 @@ class RigidBody(Body):
 
     @cached_property
     def _twist(self) -> Array:
-        m, what = motions(self.dim), f'Body "{self.name}"'
-        v = start_velocity(f"{what}: velocity", self.velocity, m.dim)
-        w = start_velocity(f"{what}: angular_velocity", self.angular_velocity, m.n_rot)
-        return np.concatenate((v, w))
+        return rigid_twist(self.name, motions(self.dim), self.velocity, self.angular_velocity)
 
 
 @dataclass(frozen=True, eq=False)
@@ -341,9 +338,7 @@ class ElasticBody(Body):
 
     def start_twist(self) -> Array:
         """Rigid velocity of the centre of mass and angular velocity at the start, (n_twist,)."""
-        inertia = 1.0 if self.dim == 2 else (1.0, 1.0, 1.0)
-        velocities = {"velocity": self.velocity, "angular_velocity": self.angular_velocity}
-        return RigidBody(self.name, 1.0, inertia, **velocities).start_twist()
+        return rigid_twist(self.name, motions(self.dim), self.velocity, self.angular_velocity)
 
     def with_(self: Same, **changes: Any) -> Same:
         """A copy with some arguments changed."""

@@ -37,7 +37,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ...rotations import Array, axial, motions, spin_matrix
+from ...rotations import Array, axial, hat, motions, spin_matrix
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,9 +94,14 @@ class SecondOrder:
     inverse: Array = field(init=False)  # J^-1
 
     def __post_init__(self) -> None:
-        d = len(self.S0)
-        rest = DisplacementMoments(self.S0[None], self.X0[None], np.zeros((1, d)), np.zeros((1, d, d)))
-        object.__setattr__(self, "inverse", np.linalg.inv(self.columns(rest)[0]))
+        d, n = len(self.S0), motions(len(self.S0)).n_twist
+        J = np.zeros((n, n))
+        J[range(d), range(d)] = self.mass
+        J[d:, d:] = np.trace(self.X0) if d == 2 else np.trace(self.X0) * np.eye(3) - self.X0
+        # the momentum of turning by a unit
+        J[:d, d:] = -hat(self.S0) if d == 3 else np.array([[-self.S0[1]], [self.S0[0]]])
+        J[d:, :d] = J[:d, d:].T
+        object.__setattr__(self, "inverse", np.linalg.inv(J))
 
     def _vector(self, found: tuple[Array, Array]) -> Array:
         return np.concatenate((found[0], axial(found[1])))

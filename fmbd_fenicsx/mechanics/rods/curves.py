@@ -183,9 +183,13 @@ class Curve:
         return s, float(np.sqrt(square(s)))
 
     # -- axes -----------------------------------------------------------------------------------------------------
-    def axes(self, s: Array, normal: Any = None, twist: Callable[[float], float] | None = None) -> Array:
-        """Rotation matrices (n, 3, 3) of the sections at ascending arc lengths s, columns axis 1, 2, 3."""
-        x, t = self.at(s)
+    def axes(
+        self, s: Array, at: tuple[Array, Array], normal: Any = None, twist: Callable[[float], float] | None = None
+    ) -> Array:
+        """Rotation matrices (n, 3, 3) of the sections at ascending arc lengths s, where places and tangents are ``at``; columns
+        axis 1, 2, 3.
+        """
+        x, t = at
         across = self._carried(s, x, t) if normal is None else self._directed(s, t, normal)
 
         if twist is not None:

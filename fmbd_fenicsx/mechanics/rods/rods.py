@@ -17,9 +17,9 @@ import numpy as np
 
 from ...checks import check_fields, number, whole
 from ...errors import InputError, near, require
-from ...rotations import Array
-from ..bodies.bodies import RigidBody, Surface, Vector
-from ..body import Body
+from ...rotations import Array, motions
+from ..bodies.bodies import Surface, Vector
+from ..body import Body, rigid_twist
 from .curves import Curve, constant_or_along
 from .elements import LineLoad, RodElements
 from .sections import RodSection
@@ -194,9 +194,14 @@ class Rod(Body):
         return np.concatenate((inner.ravel(), self.breaks[-1:]))
 
     @cached_property
+    def _at_nodes(self) -> tuple[Array, Array]:
+        """Places and tangents of the nodes, (n, 3)."""
+        return self.reference.at(self.nodes)
+
+    @cached_property
     def poses_matrix(self) -> Array:
         """Section axes at the nodes of the reference, (n, 3, 3)."""
-        return self.reference.axes(self.nodes, self.normal, self.twist)
+        return self.reference.axes(self.nodes, self._at_nodes, self.normal, self.twist)
 
     @cached_property
     def poses(self) -> Array:
@@ -205,7 +210,7 @@ class Rod(Body):
 
         turned = Rotation.from_matrix(self.poses_matrix).as_quat()
         square = turned[:, None] @ turned[:, :, None]
-        return np.concatenate((self.reference.at(self.nodes)[0], turned / np.sqrt(square[:, 0])), axis=1)
+        return np.concatenate((self._at_nodes[0], turned / np.sqrt(square[:, 0])), axis=1)
 
     @cached_property
     def connectivity(self) -> np.ndarray:
@@ -227,9 +232,7 @@ class Rod(Body):
 
     def start_twists(self) -> Array:
         """Twists of the nodes at the start, (n, 6)."""
-        given = RigidBody(
-            self.name, 1.0, (1.0, 1.0, 1.0), velocity=self.velocity, angular_velocity=self.angular_velocity
-        ).start_twist()
+        given = rigid_twist(self.name, motions(3), self.velocity, self.angular_velocity)
         mass = self.inertia[0]
         x = self.poses[:, :3]
         # a rigid motion about the centre of mass: rotations in the axes of the sections

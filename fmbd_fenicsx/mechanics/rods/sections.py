@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -156,20 +157,34 @@ class RodSection:
         return cls(stiffness, rho * A, (rho * (I2 + I3), rho * I2, rho * I3), outline=outline)
 
     # -- along the curve ------------------------------------------------------------------------------------------
+    @cached_property
+    def _constants(self) -> dict[str, Array]:
+        """What is constant along the curve, checked once for all rods."""
+        return {}
+
+    def _along(self, what: str, s: Array, made: Callable[[Any, float], Array]) -> Array:
+        """A constant, or a function of s (m), as it is ``made`` to an array at the places s, (n, ...)."""
+        given = getattr(self, what)
+        if callable(given):
+            return np.array([made(given(at), at) for at in s.tolist()])
+        if what not in self._constants:
+            self._constants[what] = made(given, float(s[0]))
+        return np.repeat(self._constants[what][None], len(s), axis=0)
+
     def matrices(self, s: Array) -> Array:
         """Stiffness at the places s (n,), (n, 6, 6); checked. Zeros for an energy of the user's own."""
         if self.stiffness is None:
             return np.zeros((len(s), 6, 6))
-        return _along(self.stiffness, s, lambda x, at: check_matrix(_matrix(x, 6, "stiffness", at), "stiffness", at))
+        return self._along("stiffness", s, lambda x, at: check_matrix(_matrix(x, 6, "stiffness", at), "stiffness", at))
 
     def masses(self, s: Array) -> Array:
         """kg/m at the places s, (n,)."""
         of = "Section: at s = {:g} m: mass"
-        return _along(self.mass, s, lambda x, at: np.array(number(of.format(at), x, above=0.0, unit="kg/m"), float))
+        return self._along("mass", s, lambda x, at: np.array(number(of.format(at), x, above=0.0, unit="kg/m"), float))
 
     def inertias(self, s: Array) -> Array:
         """Rotary inertia at the places s, (n, 3, 3), kg m."""
-        return _along(self.inertia, s, lambda x, at: _check_inertia(_matrix(x, 3, "inertia", at), at))
+        return self._along("inertia", s, lambda x, at: _check_inertia(_matrix(x, 3, "inertia", at), at))
 
     def arms(self, s: Array) -> Arms | None:
         """The viscoelastic arms at the Gauss points s (m, q), m; None without any."""
@@ -233,14 +248,6 @@ class LinearLaw:
         return self.C
 
 
-def _along(given: Any, s: Array, made: Callable[[Any, float], Array]) -> Array:
-    """A constant, or a function of s (m), as it is ``made`` to an array at the places s, (n, ...); a constant once."""
-    places = [float(x) for x in s]
-    if callable(given):
-        return np.array([made(given(at), at) for at in places])
-    return np.repeat(made(given, places[0])[None], len(s), axis=0)
-
-
 def _matrix(given: Any, n: int, what: str, s: float) -> Array:
     """A square matrix from one, or from its diagonal."""
     try:
@@ -248,10 +255,10 @@ def _matrix(given: Any, n: int, what: str, s: float) -> Array:
     except (TypeError, ValueError, OverflowError):
         raise CallbackError(f"Section: {what} at s = {s:g} m is {given!r}, expected numbers.") from None
     found = np.diag(found) if found.shape == (n,) else found
-    require(
-        found.shape == (n, n) and bool(np.isfinite(found).all()),
-        f"Section: {what} at s = {s:g} m must be ({n},) or ({n}, {n}) finite numbers, found {given!r}.",
-    )
+    if found.shape != (n, n) or not np.isfinite(found).all():
+        raise InputError(
+            f"Section: {what} at s = {s:g} m must be ({n},) or ({n}, {n}) finite numbers, found {given!r}."
+        )
     return found
 
 

@@ -53,6 +53,7 @@ class ImplicitStepper(OwnMarch):
 
     lost: ClassVar[float] = 3e-4  # share of the forces that the roundoff of a spring's effort may have
     leaves_masses = False
+    staged = True
     slow: float
     control: StepControl
     iteration: StepNewton
@@ -79,10 +80,6 @@ class ImplicitStepper(OwnMarch):
         self.proposed: float | None = None
         if not self.eq.dense:
             self._warn_of_roundoff(acceleration)
-
-    def _library(self, states: DriverStates) -> Any:
-        """With stages of implicit schemes."""
-        return states.implicit
 
     def _warn_of_roundoff(self, acceleration: float) -> None:
         """Say that a spring is too stiff for Newton's iteration with one tangent for several configurations."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import accumulate
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -84,13 +85,14 @@ class MarkerPlaces:
         d = self.m.dim
         n, per = len(self.places), d * (1 + d)  # ports of a surface
         parts = self.bodies.parts
+        begins = [0, *accumulate(part.n_port for part in parts)]
         on_surfaces, ports, is_section = [], [], []
         for i, side in enumerate(place.surface for place in self.places):
             if side is None:
                 continue
             # ports of all parts stand in one array: those of the part's frame come first, then its surfaces
             k = self.bodies.part_of[side.body.name]
-            first = sum(f.n_port for f in parts[:k]) + parts[k].n_frame_rows
+            first = begins[k] + parts[k].n_frame_rows
             first += self.bodies.used[side.body.name].index(side.name) * per
 
             on_surfaces.append(i)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
@@ -79,15 +80,9 @@ class RodTable:
 
     def _places(self, tables: TableLayout) -> np.ndarray:
         """Where the lower half of each element's block goes in the fronts, node by node."""
-        frames = self.rod.frames
-        unknowns = tables.at_u[frames][..., None] + np.arange(6)
-        rows, columns = [], []
-        for i in range(frames.shape[1]):
-            for j in range(i + 1):
-                a, b = np.tril_indices(6) if i == j else np.divmod(np.arange(36), 6)
-                rows.append(unknowns[:, i, a])
-                columns.append(unknowns[:, j, b])
-        return tables.fronts.place(np.concatenate(rows, axis=1), np.concatenate(columns, axis=1))
+        first = tables.at_u[self.rod.frames]
+        i, a, j, b = _lower_half(first.shape[1])
+        return tables.fronts.place(first[:, i] + a, first[:, j] + b)
 
     @property
     def of_time(self) -> bool:
@@ -111,6 +106,17 @@ class RodTable:
     def section_slopes(self) -> None:
         """Its tangents."""
         self.C[:] = self.rod.law.tangent(self.strain)
+
+
+@cache
+def _lower_half(nodes: int) -> np.ndarray:
+    """Of the lower half of an element's block: node and number of each row, node and number of the column, (4, entries)."""
+    entries = []
+    for i in range(nodes):
+        for j in range(i + 1):
+            a, b = np.tril_indices(6) if i == j else np.divmod(np.arange(36), 6)
+            entries.append([np.full(len(a), i), a, np.full(len(a), j), b])
+    return np.concatenate(entries, axis=1)
 
 
 def rod_pairs(rods: tuple[Any, ...]) -> set[tuple[int, int]]:
