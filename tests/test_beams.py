@@ -10,9 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.linalg as sl
+from profiled import calls_of
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError
+from fmbd_fenicsx.mechanics.bodies.beam_elements import constants_of
 from fmbd_fenicsx.mechanics.placements import FrameMotion
 from fmbd_fenicsx.mechanics.reduction.reduced import ReducedPart
 from fmbd_fenicsx.system.spins import held_mode
@@ -198,3 +200,53 @@ def test_a_chain_of_many_beams_costs_what_its_beams_cost() -> None:
     assert many["csr_plus_csr"] == few["csr_plus_csr"] < 20
     assert many.total() < 2.1 * few.total()
     assert looks[0] == looks[1]
+
+
+SOLID = {"youngs_modulus": 1e8, "poisson_ratio": 0.3, "density": 1e3, "width": 0.1, "height": 0.05}
+
+
+def line_of(n: int, dim: int) -> fmbd.Scene:
+    """A chain of beams on hinges."""
+    scene, last = fmbd.Scene("beams", gravity=(0.0, -9.81, 0.0)[:dim]), fmbd.ground
+    for k in range(n):
+        ends = [(0.9 * x, 0.0, 0.0)[:dim] for x in (k, k + 1)]
+        beam = fmbd.Beam(f"beam {k}", *ends, fmbd.Section.rectangle(**SOLID), elements=3)
+        scene.add(beam, fmbd.revolute(f"pin {k}", last, beam.surface("start"), center=ends[0]))
+        last = beam.surface("end")
+    return scene
+
+
+@pytest.mark.parametrize(("dim", "most"), [(2, 1000), (3, 1400)])
+def test_a_further_beam_of_a_chain_costs_few_calls_at_the_start(dim: int, most: int) -> None:
+    """Beams are made together; what follows from the constants of all of them, too. As many for each one in long chains."""
+    calls = []
+    for n in (3, 8, 24, 72):
+        scene = line_of(n, dim)
+        calls.append(calls_of(lambda scene=scene: fmbd.solve(scene, t_end=1e-3, dt=1e-3)))
+    short, long = (calls[2] - calls[1]) / 16, (calls[3] - calls[2]) / 48
+    assert short < most
+    assert long < 1.05 * short
+
+
+def test_beams_made_together_are_those_made_alone() -> None:
+    """Of several forms, lengths, directions and sections, in any order."""
+    rng, beams = np.random.default_rng(5), []
+    for k in range(40):
+        dim, form = 2 + k % 2, k % 5
+        section = fmbd.Section.rectangle(**SOLID | {"height": float(rng.uniform(0.03, 0.06))})
+        more: dict[str, Any] = {"elements": 2 + form, "attached": form != 1, "stiffening": form == 2}
+        more |= {"modes": 3} if form == 3 else {}
+        ends = rng.standard_normal((2, dim))
+        beams.append(fmbd.Beam(f"beam {k}", *ends, section, mass_damping=0.1 * k, stiffness_damping=1e-3, **more))
+
+    for beam, together in zip(beams, constants_of(beams), strict=True):
+        alone = beam.constants
+        assert together.mass == alone.mass and together.size == alone.size
+        np.testing.assert_allclose(together.center, alone.center, rtol=1e-15)
+        for name in ("S", "T", "K", "D") + (("stiffening",) if beam.stiffening else ()):
+            x, y = getattr(together, name), getattr(alone, name)
+            np.testing.assert_allclose(x, y, rtol=0.0, atol=1e-12 * np.abs(y).max() + 1e-12 * (name == "S"))
+        for end, surface in alone.surfaces.items():
+            y = surface.modes
+            np.testing.assert_allclose(together.surfaces[end].modes, y, rtol=0.0, atol=1e-12 * np.abs(y).max() + 1e-15)
+        np.testing.assert_allclose(together.derived.first_frequency, alone.derived.first_frequency, rtol=1e-10)

@@ -647,3 +647,18 @@ def test_a_rod_continues_a_solid(kind, join):
     weight = 1000.0 * side**2 * 9.81
     sag = weight / (8 * E * side**4 / 12) + weight / 2 / (5 / 6 * E / 2.6 * side**2)
     assert -fmbd.equilibrium(scene)["end"][1] == pytest.approx(sag, rel=1e-2)
+
+
+def test_a_further_rod_of_a_chain_costs_few_calls_at_the_start():
+    """What is constant along all rods of a section is checked once, and places on a curve are found once."""
+    section = fmbd.RodSection((1e4, 4e3, 4e3, 30.0, 20.0, 25.0), 1.0, (2e-3, 1e-3, 1e-3))
+    calls = []
+    for n in (3, 8, 24):
+        scene, last = fmbd.Scene("rods", gravity=(0.0, -9.81, 0.0)), fmbd.ground
+        for k in range(n):
+            curve = np.array([(k, 0, 0), (k + 0.5, 0.1, 0), (k + 1, 0, 0)])
+            rod = fmbd.Rod(f"rod {k}", curve, section, elements=3, degree=2)
+            scene.add(rod, fmbd.spherical(f"ball {k}", last, rod.surface("start"), center=(k, 0, 0)))
+            last = rod.surface("end")
+        calls.append(calls_of(lambda scene=scene: fmbd.solve(scene, t_end=1e-3, dt=1e-3)))
+    assert (calls[2] - calls[1]) / 16 < 850

@@ -158,9 +158,9 @@ def axial_force(ev: Evaluation, k: int, part: Any, on_surfaces: Array) -> tuple[
     """
     if isinstance(part, ReducedPart):
         constants = part.constants
-        centre, second = constants.S[:, 0] / constants.mass, constants.T[0, 0]
+        centre = constants.S[:, 0] / constants.mass
         stress = part.virial(on_surfaces[ev.system.port_slice(k)], ev.t, ev.rotation[part.frame], centre)
-        sizes, axes = np.linalg.eigh(second - part.mass_total * np.outer(centre, centre))
+        sizes, axes = constants.derived.principal
     else:
         f = part.field
         strained = f.stiffness(ev.system.local_q(ev.q, k)) - f.loads.constant(ev.t, ev.rotation[part.frame])[1].ravel()
@@ -178,8 +178,7 @@ def axial_force(ev: Evaluation, k: int, part: Any, on_surfaces: Array) -> tuple[
 def _over_stiffness(part: Any, u: Array) -> float:
     """Mass times displacements squared of a shape over twice its energy of strain, s^2; collective."""
     if isinstance(part, ReducedPart):
-        mass = np.trace(part.constants.T[1:, 1:], axis1=2, axis2=3)
-        moved = float(np.real(u.conj() @ mass @ u))
+        moved = float(np.real(u.conj() @ part.constants.derived.mass @ u))
         strained = float(np.real(u.conj() @ part.constants.K @ u))
     else:
         field = part.field

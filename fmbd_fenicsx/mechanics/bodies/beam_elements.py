@@ -280,8 +280,11 @@ class BeamElements:
 
         # inertia, stiffness and damping of the modes
         S = R @ S @ W
-        T = (back @ T.transpose(0, 3, 4, 1, 2) @ W[:, None, None]).transpose(0, 3, 4, 1, 2)
-        T = R[:, None, None] @ T @ R.swapaxes(1, 2)[:, None, None]
+        T = back @ T.transpose(0, 3, 4, 1, 2) @ W[:, None, None]
+        b, d, _, k, _ = T.shape
+        for _ in range(2):  # both indices of places turn, first the second one
+            T = (R @ T.swapaxes(1, 2).reshape(b, d, d * k * k)).reshape(b, d, d, k, k)
+        T = T.transpose(0, 3, 4, 1, 2)
         K = along @ K @ V
         alpha, beta = np.array([(b.mass_damping, b.stiffness_damping) for b in self.beams]).T[:, :, None, None]
         D = alpha * (along @ M @ V) + beta * K

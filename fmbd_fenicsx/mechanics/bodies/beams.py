@@ -27,6 +27,7 @@ from ...errors import InputError, near, require
 from ...rotations import Array, motions
 from ..body import MODES, Body, Placed, Site, rigid_twist
 from ..cross_sections import Shape, rectangle, ring, shear_modulus
+from ..reduction.derived import derive
 from ..reduction.reduced import ReducedConstants, placed_modes
 from .beam_elements import BeamElements, constants_of
 from .bodies import Surface
@@ -205,10 +206,11 @@ class Beam(Body):
 
     @classmethod
     def prepare(cls, bodies: Sequence[Any]) -> None:
-        """The constants of all beams that have none yet."""
+        """The constants of all of them, and what follows from these."""
         new = [beam for beam in bodies if "constants" not in vars(beam)]
         for beam, made in zip(new, constants_of(new), strict=True):
             vars(beam)["constants"] = made
+        derive([beam.constants for beam in bodies])
 
     def centre_line(self, per_element: int = 4) -> Array:
         """Points of the centre line from the centre of mass, and their modes, (n, d, 1 + modes); world axes of the start, m."""

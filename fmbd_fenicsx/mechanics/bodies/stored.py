@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 from ...errors import InputError, near
 from ...rotations import Array, motions
 from ..body import MODES, Body, Placed, Site
+from ..reduction.derived import derive
 from ..reduction.reduced import ReducedConstants, SurfaceData, placed_modes
 from .bodies import Surface
 
@@ -47,6 +49,11 @@ class StoredBody(Body):
         if name not in known:
             raise InputError(f'Body "{self.name}" has no surface "{name}". {near(name, known)}')
         return Surface(self, name)
+
+    @classmethod
+    def prepare(cls, bodies: Sequence[Any]) -> None:
+        """What follows from the constants of all of them."""
+        derive([body.constants for body in bodies])
 
     def placed(self, site: Site) -> Placed:
         """Its modes as a part on its frame."""

@@ -94,13 +94,7 @@ class SecondOrder:
     inverse: Array = field(init=False)  # J^-1
 
     def __post_init__(self) -> None:
-        d, n = len(self.S0), motions(len(self.S0)).n_twist
-        J = np.zeros((n, n))
-        J[range(d), range(d)] = self.mass
-        J[d:, d:] = np.trace(self.X0) if d == 2 else np.trace(self.X0) * np.eye(3) - self.X0
-        # the momentum of turning by a unit
-        J[:d, d:] = -hat(self.S0) if d == 3 else np.array([[-self.S0[1]], [self.S0[0]]])
-        J[d:, :d] = J[:d, d:].T
+        J = rigid_masses(np.array([self.mass]), self.S0[None], self.X0[None])[0]
         object.__setattr__(self, "inverse", np.linalg.inv(J))
 
     def _vector(self, found: tuple[Array, Array]) -> Array:
@@ -164,6 +158,20 @@ class SecondOrder:
     def own_mass(self, A_u: Array, B_u: Array) -> tuple[Array, Array]:
         """The same for (field, field), V C V^T: V (n, k) and C (k, k)."""
         return np.concatenate((A_u, B_u)).T, np.kron([[0.0, 1.0], [1.0, 1.0]], self.inverse)
+
+
+def rigid_masses(mass: Array, S0: Array, X0: Array) -> Array:
+    """J of (2), (b, n_twist, n_twist), of the masses (b,), S0 (b, d) and X0 (b, d, d) of several bodies."""
+    d = S0.shape[1]
+    n = motions(d).n_twist
+    J = np.zeros((len(mass), n, n))
+    J[:, range(d), range(d)] = mass[:, None]
+    sums = np.trace(X0, axis1=1, axis2=2)[:, None, None]
+    J[:, d:, d:] = sums * np.eye(3) - X0 if d == 3 else sums
+    # what turning by a unit moves
+    J[:, :d, d:] = -hat(S0) if d == 3 else np.stack((-S0[:, 1], S0[:, 0]), axis=1)[:, :, None]
+    J[:, d:, :d] = J[:, :d, d:].swapaxes(1, 2)
+    return J
 
 
 def turning(columns: Array, d: int) -> Array:

@@ -29,6 +29,7 @@ from ..body import MODES, Body, Placed, Site
 from ..elastic.floating import attachment, frame_conditions, moment_columns
 from ..elastic.floating_start import framed_start
 from ..elastic.stiffening import Stiffening
+from .derived import derive
 from .reduced import ReducedConstants, SurfaceData, constants_of, placed_modes
 
 SMALL = 10_000  # unknowns of a field up to which its matrices and factors, some megabytes, are kept beside its modes
@@ -235,6 +236,11 @@ class ReducedBody(Body):
     def surface(self, name: str) -> Any:
         """The named surface of the mesh."""
         return replace(self.source.surface(name), body=self)
+
+    @classmethod
+    def prepare(cls, bodies: Sequence[Any]) -> None:
+        """What follows from the constants of all of them."""
+        derive([body.constants for body in bodies])
 
     def placed(self, site: Site) -> Placed:
         """Its modes as a part on its frame."""

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -32,8 +33,7 @@ from ..elastic.foreshortening import of_constants
 from ..elastic.second_order import Acting, DisplacementMoments, SecondOrder, load_moment, turning
 from ..placements import FrameMotion, Part
 from ..validity import TOO_LARGE, too_large
-
-STILL = 1e-9  # of what a mode moves, which is no motion of the whole
+from .derived import Derived, derived
 
 
 @dataclass(frozen=True)
@@ -80,6 +80,11 @@ class ReducedConstants:
         """Number of modes."""
         return len(self.K)
 
+    @cached_property
+    def derived(self) -> Derived:
+        """What follows from them."""
+        return derived([self])[0]
+
 
 def constants_of(Z: Array, MZ: Array) -> tuple[Array, Array]:
     """S and T of (1) from nodal fields Z (n, d, m + 1) and M Z; sums over this rank only."""
@@ -110,8 +115,6 @@ class ReducedPart(Part):
     leaves_out = True
 
     def __init__(self, name: str, constants: ReducedConstants, frame: int, surfaces: Sequence[str]) -> None:
-        import scipy.linalg as sl
-
         self.name, self.constants, self.frame, self.surfaces = name, constants, frame, tuple(surfaces)
 
         self.dim = d = constants.S.shape[0]
@@ -134,22 +137,16 @@ class ReducedPart(Part):
         # first moments int rho p, int rho X p^T, and what the mean motion takes from them
         self._first = np.concatenate((constants.S, constants.T[0].transpose(1, 2, 0).reshape(d * d, k)))
         self._swapped = np.concatenate((constants.S, constants.T[:, 0].transpose(1, 2, 0).reshape(d * d, k)))[:, 1:].T
-        self.second = SecondOrder(constants.mass, constants.S[:, 0], constants.T[0, 0])
-        self._modal_mass = np.trace(constants.T[1:, 1:], axis1=2, axis2=3).copy()
 
-        self.rms = rms = np.sqrt(np.diag(self._modal_mass) / constants.mass)
-        self.mean_rates = self._mean_rates(rms)
-        self.first_frequency = (
-            float(np.sqrt(sl.eigh(constants.K, self._modal_mass, eigvals_only=True)[0])) if self.n else np.inf
-        )
+        known = constants.derived
+        self._modal_mass, self.rms, self.mean_rates = known.mass, known.rms, known.rates
+        self.first_frequency = known.first_frequency
 
-    def _mean_rates(self, rms: Array) -> Array | None:
-        """Mean twist of its mass in a frame that hangs on a part of it; None in mean axes, where it is roundoff."""
-        c, d = self.constants, self.dim
-        moments = np.array([axial(t) for t in c.T[0, 1:]]).reshape(self.n, self.motions.n_twist - d).T
-        rates = np.asarray(self.second.inverse @ np.vstack((c.S[:, 1:], moments)))
-        moved = rates * np.repeat((1.0, self.size), (d, len(rates) - d))[:, None]
-        return rates if (np.abs(moved) > STILL * rms).any() else None
+    @cached_property
+    def second(self) -> SecondOrder:
+        """Inertia of its second-order displacements."""
+        c = self.constants
+        return SecondOrder(c.mass, c.S[:, 0], c.T[0, 0])
 
     def surface_center(self, surface: str) -> Array:
         """Centroid of a surface at the start, world axes."""
@@ -175,7 +172,7 @@ class ReducedPart(Part):
         """Refuse displacements of the size of the body."""
         c = self.constants
         # root mean square of the displacements over the mass
-        mean = float(np.sqrt(max(eta @ self._modal_mass @ eta, 0.0) / c.mass))
+        mean = float(np.sqrt(max(float(eta @ self._modal_mass @ eta), 0.0) / c.mass))
         if not mean <= TOO_LARGE * c.size:
             raise ConvergenceError(too_large(self.name, mean, c.size, c.stiffening is not None))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -59,14 +60,19 @@ def reduced_body(tables: TableLayout, b: int) -> Any:
     width = int(tables.width[b])
 
     arrays = modal_arrays(c, m, d) | {"block": np.zeros((width, width))}
-    unknown = tables.at_u[b] + np.arange(width)
-    i, j = np.tril_indices(width)
+    i, j = tables.at_u[b] + lower_half(width)
     return structure("Body", d)(
         modes=m, at_v=system.slices[1][k].start, at_q=system.slices[0][k].start, at_u=int(tables.at_u[b]), mass=c.mass,
-        large=(TOO_LARGE * c.size) ** 2 * c.mass, dest=store.integers(tables.fronts.place(unknown[i], unknown[j])),
+        large=(TOO_LARGE * c.size) ** 2 * c.mass, dest=store.integers(tables.fronts.place(i, j)),
         mean_rates=None if part.mean_rates is None else store.address(part.mean_rates),
-        **{name: store.address(x) for name, x in arrays.items()},
+        **store.copies(arrays),
     )  # fmt: skip
+
+
+@cache
+def lower_half(width: int) -> np.ndarray:
+    """Rows and columns of the lower half of a matrix."""
+    return np.array(np.tril_indices(width))
 
 
 def modal_arrays(constants: Any, m: int, d: int) -> dict[str, Array]:
@@ -79,7 +85,7 @@ def modal_arrays(constants: Any, m: int, d: int) -> dict[str, Array]:
         "S": c.S,
         "T": T,
         "V": np.stack([T[..., i, j] - T[..., j, i] for i, j in pairs], axis=-1),
-        "modal": np.trace(c.T[1:, 1:], axis1=2, axis2=3),
+        "modal": c.derived.mass,
         "K": c.K,
         "C": c.D,
         "U": np.zeros((m + 1) * (d * d + 2 * d - 3) + 2 * m),
