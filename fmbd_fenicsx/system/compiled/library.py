@@ -33,9 +33,9 @@ FLAGS = (
     "-std=gnu11",
 )
 CORE = ("schemes", "driver")  # units of every scene, to be compiled side by side, the longest first
-# whose loops are short or jump: vectors gain nothing there, and double the time to compile
-SPARSE = ("implicit_schemes",)
 RODS, CONTACT, IMPLICIT = "rods/rods", "impacts/moreau", "implicit_schemes"
+# of units whose loops are short or jump: vectors gain nothing there, and double the time to compile
+SPARSE = {IMPLICIT: ("-O2",), CONTACT: ("-O3", "-fno-tree-vectorize")}
 EXPORTED = re.compile(r"^EXPORT (\w+) (\w+)\((.*?)\)", re.MULTILINE | re.DOTALL)
 TYPES = {"int": ctypes.c_int, "long": ctypes.c_long, "double": ctypes.c_double, "void": None}
 
@@ -68,7 +68,7 @@ def _unit(dim: int, name: str) -> kernel_cache.SourceUnit:
     definitions = Path(strains.__file__).parents[1] / "kinds"
     files = [*sorted(definitions.glob("*.py")), Path(strains.__file__)] if name == RODS else []
     text = b"".join(path.read_bytes() for path in files) + _source(dim, name, generated=False).encode()
-    flags = ("-O2" if name in SPARSE else "-O3", *FLAGS, f"-DDIM={dim}")
+    flags = (*SPARSE.get(name, ("-O3",)), *FLAGS, f"-DDIM={dim}")
     return kernel_cache.SourceUnit(
         f"{Path(name).name}_{dim}d", lambda: _source(dim, name), flags, text + processor().encode(), shared=True
     )
