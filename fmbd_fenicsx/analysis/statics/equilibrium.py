@@ -136,9 +136,8 @@ def equilibrium(
                 point, t = made.points[-1], made.parameter[-1]
 
             check_steady(newton, point, t)
-            if made is None:
-                _tell_roundoff(newton, point, t, given)
-            else:
+            newton.solvable(lambda: _tell_roundoff(newton, point, t, given))
+            if made is not None:
                 newton.solvable(lambda: newton.take(point, t))
                 tell_unstable(newton, point, t, falls(newton, point, t), "Shorter steps may lead elsewhere")
         finally:
@@ -201,7 +200,7 @@ def _tell_roundoff(newton: StaticNewton, point: StaticPoint, t: float, given: St
     if lost > max(ROUGH * size, newton.tolerance * system.length):
         log.warning(
             "equilibrium: roundoff of forces moves bodies by %.1e m, %.0e of the largest displacement: stiffnesses lie far "
-            "apart; take fmbd.FloatingBody or bodies of one stiffness each, or rigid ones for what hardly deforms",
+            "apart; take fmbd.FloatingBody in mean axes, bodies of one stiffness each, or rigid ones for what hardly deforms",
             lost, lost / size,
         )  # fmt: skip
 

@@ -38,6 +38,7 @@ EXACT = ExactTangent(rtol=1e-6, max_iterations=60)
 
 WHOLE, DAMPED = 12, 40  # increments at most, without and with a line search
 TINY = 1e-6  # increments, over the model's length, that ought to become smaller
+ROUGH = 1e-3  # of what an iteration has moved, roundoff with which it may end
 LONG = 0.5  # increment that is not taken whole, over the model's length
 FALLEN = 1e-2  # of the first one, increments with inertia beside the tangent that have found an equilibrium
 GOLDEN = 0.6180339887498949
@@ -148,11 +149,24 @@ class StaticNewton:
         try:
             return self._iterate(start, t, rest, DAMPED, self._damped_increment)
         except ConvergenceError:
+            pass
+        try:
             self.slow = True
             return self._iterate(start, t, rest, WHOLE, self._slow_increment)
+        except ConvergenceError as error:
+            self.slow = False
+            try:
+                return self._iterate(start, t, rest, WHOLE, self._whole_increment, rough=True)
+            except ConvergenceError:
+                raise error from None
 
-    def _iterate(self, start: StaticPoint, t: float, rest: Pair, most: int, increment: Increment) -> StaticPoint:
-        """Newton's iteration of at most ``most`` increments from ``increment``, which gives None where there is none to take."""
+    def _iterate(
+        self, start: StaticPoint, t: float, rest: Pair, most: int, increment: Increment, *, rough: bool = False
+    ) -> StaticPoint:
+        """Newton's iteration of at most ``most`` increments from ``increment``, which gives None where there is none to take.
+
+        ``rough``: where those of a thin body stay at its roundoff, they end it when they are small beside what it has moved.
+        """
         system = self.residual.system
         point = start
         sizes = [np.inf]
@@ -169,6 +183,7 @@ class StaticNewton:
             size = system.max_abs(step[0])
             sizes.append(size)
             stalled = size > 0.5 * sizes[-2] and size <= 1e-9 * system.length
+            stalled |= rough and sizes[-2] <= size <= ROUGH * system.max_abs(self.moved)
             if size <= self.tolerance * system.length or stalled:
                 if increment == self._slow_increment and not self._fallen(sizes):
                     if stalled:
