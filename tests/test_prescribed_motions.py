@@ -13,7 +13,7 @@ from profiled import calls_of
 from scipy.interpolate import CubicSpline, PchipInterpolator, make_interp_spline
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.errors import InputError
+from fmbd_fenicsx.errors import ConvergenceError, InputError
 from fmbd_fenicsx.mechanics.joints.couplings import smooth_motion
 from fmbd_fenicsx.run.judges.prescribed_motions import Follower
 
@@ -328,3 +328,20 @@ def test_smooth_formulas_are_not_searched_for_jumps() -> None:
     assert asked < 50 and not said
     asked, said = _asked_at_the_start(lambda t: 0.1 * ((t - 0.5) * np.sqrt((t - 0.5) ** 2) + 0.25))
     assert asked > 200 and "jumps at t = 0.5 s" in said[0]
+
+
+@pytest.mark.parametrize(
+    "scheme", [fmbd.GeneralizedAlpha(), fmbd.Radau(), fmbd.EnergyMomentum(), fmbd.schemes.Rattle()], ids=repr
+)
+def test_a_drive_beyond_the_reach_of_its_linkage_is_told(scheme: Any) -> None:
+    """Two bars of 1 m are pulled straight after 0.5 s and cannot follow further."""
+    one = fmbd.RigidBody("one", 1.0, 0.1, position=(0.25 * np.sqrt(3), 0.25))
+    two = fmbd.RigidBody("two", 1.0, 0.1, position=(0.75 * np.sqrt(3), 0.25))
+    knee = np.array([0.5 * np.sqrt(3), 0.5])
+    scene = fmbd.Scene("reach")
+    slide = fmbd.point_on_line("slide", fmbd.ground, two, center=(np.sqrt(3), 0), axis=(1, 0))
+    scene.add(one, two, fmbd.revolute("pin", fmbd.ground, one, center=(0, 0)), slide)
+    scene.add(fmbd.revolute("knee", one, two, center=knee))
+    scene.add(fmbd.drive("pull", fmbd.displacement(slide), lambda t: (4.0 - 2.0 * np.sqrt(3)) * t))
+    with pytest.raises(ConvergenceError, match=r"close to a singular one.*joints cannot follow"):
+        fmbd.solve(scene, t_end=0.9, dt=6e-3, scheme=scheme)

@@ -24,6 +24,7 @@ from .checkpoints.progress import RunProgress
 from .compiled_calls import CHUNK, CompiledCalls
 from .judges.acceptance import accept_step, attempt_judged
 from .judges.energy_check import closed
+from .judges.forecast import out_of_reach
 from .judges.prescribed_motions import PrescribedMotions
 from .problem import Problem, judges_of, make_stepper
 from .recording.moment import Moment
@@ -355,13 +356,14 @@ class Loop:
         if self.motions is not None:
             self.motions.look(self.stepper.state.t)
 
+        why = out_of_reach(self.solver, self.problem.start, self.stepper.state)
         number, steps = self.progress.done + 1, self.schedule.steps
         if steps:  # the newest of many that were made in one call is refused, or the one behind those that count
             number = max(number, self.schedule.reached(self.stepper.state.t))
         step = f"step {number}" + (f" of {steps}" if steps else "")
         newest = None if self.keeper is None else self.keeper.newest
         kept = "" if newest is None else f" The newest checkpoint is {newest}."
-        named = type(error)(f'Scene "{self.problem.scene.name}", {step}: {error}{kept}')
+        named = type(error)(f'Scene "{self.problem.scene.name}", {step}: {error}{why}{kept}')
         t = self.stepper.state.t
         named.halted = t, t / max(number - 1, 1)
         return named

@@ -48,6 +48,7 @@ DROWNED = 0.1  # of the accelerations of a motion
 TURNING = 0.1 * TURN  # rad a step, from which on turning is to blame
 RESOLVED = 1e7  # steps in a period, from which on it is not to blame for them
 LOOKED_AT = 2000  # constraints up to which their singular values are found
+NEARER = 0.1  # to a singular position than the start, times by which a step that fails is told of it
 
 
 class Forecast:
@@ -148,6 +149,29 @@ def singular(solver: StepSolver, state: State) -> str:
         f"This is close to a singular position: constraints almost depend on each other (sigma_min/sigma_max = "
         f'{ratio:.1e}, joint "{joint}"), and small steps feel their roundoff. '
         "Take a larger rtol, or larger constant steps of fmbd.GeneralizedAlpha(0.9)."
+    )
+
+
+def out_of_reach(solver: StepSolver, start: State, state: State) -> str:
+    """That joints depend on each other far more in a state behind which a run does not come than at its start, as sentences, or
+    nothing; collective.
+    """
+    s = solver.system
+    if not 0 < s.n_lam <= LOOKED_AT or solver.core.uncounted:
+        return ""
+    ends = [s.at(x.t, x.q, x.v) for x in (start, state)]
+    (before, _), (ratio, joint) = (nearly_dependent(ev, solver.core.rank or s.n_lam) for ev in ends)
+    if not ratio < NEARER * before:
+        return ""
+    driven = bool(np.any(ends[1].constraint_rate()))
+    return (
+        f" The position before it is close to a singular one (sigma_min/sigma_max = {ratio:.1e}, {before:.1e} at the start, "
+        f'joint "{joint}")'
+        + (
+            ": drives may lead where joints cannot follow, beyond a dead centre or the reach of a linkage."
+            if driven
+            else "."
+        )
     )
 
 
