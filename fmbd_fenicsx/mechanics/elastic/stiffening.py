@@ -121,6 +121,11 @@ class TurnedLoads:
         for (load, _), factor in zip(self.loads, self._factors, strict=True):
             factor.value = load.factor(t, self.field.name)
 
+    @property
+    def matrices(self) -> list[tuple[Load, Any]]:
+        """Each load with its B."""
+        return [(load, A) for (load, _), A in zip(self.loads, self._matrices, strict=True)]
+
     def columns(self, U: Array) -> list[tuple[Load, Array, Array]]:
         """Of each load for columns of displacements U (n d, k): B U (n d, k), and the rows of the frame (n_twist, k) by it and by
         the ways of b.
@@ -233,13 +238,15 @@ class Stiffening:
 
     @cached_property
     def entries(self) -> tuple[Any, Array]:
-        """The matrices of inertia, then those of :meth:`shortening`, on one rank: their common pattern, a sparse matrix of nodes,
-        and the values of its entries (entries, matrices).
+        """The matrices of inertia, of :meth:`shortening` and of loads, on one rank: their common pattern, a sparse matrix of
+        nodes, and the values of its entries (entries, matrices).
         """
         import scipy.sparse as sp
 
         d, n = self.field.dim, self.field.n
-        found = [A.getValuesCSR() for A in (*self._matrices[: d + d * d], *self._of_surfaces)]
+        first, nothing = d + d * d, (np.zeros(n + 1, int), np.zeros(0, int), np.zeros(0))
+        every = (*self._matrices[:first], *self._of_surfaces, *self._matrices[first:])
+        found = [nothing if A is None else A.getValuesCSR() for A in every]
         places = [np.repeat(np.arange(n) * n, np.diff(start)) + columns for start, columns, _ in found]
         known = np.unique(np.concatenate(places))
         values = np.zeros((len(known), len(found)))

@@ -239,10 +239,13 @@ typedef struct {
     double *b, *z;                     /* wide each: E z = b, by Python; b: Newton's increment, for new tangents */
     double *MX, *began, *T;            /* n; rotation of the factor's tangent, sum of X (M X)^T; rotation since, see turn_factor() */
     double *pz, *rest, *f, *h;         /* solved each, frames: see fields.c */
-    int stresses, bends;               /* with stiffening: of inertia, where C tells the forces; ports of second order */
-    int *stress_start, *stress_column; /* by rows of nodes: scalars, stresses + bends of each entry; see stiffened.c */
+    int stresses, bends, stressing;    /* with stiffening: of inertia, where C tells the forces; ports of second order; loads */
+    int *stress_start, *stress_column; /* by rows of nodes: scalars of each entry, see stiffened.c */
     double *stress, *N;                /* N: modes x bends */
-    double *bent, *form;               /* n x (stresses + bends); 3 x (stresses + bends) */
+    double *bent, *form;               /* n x scalars; 3 x scalars */
+    double *load_factor;               /* of loads whose stress stiffens, at a time; how each goes with the body, see stiffened.c; with */
+    int *load_turns;
+    NodeMatrix **turning;              /* what displacements add to nodal forces, NULL of those that are not carried along */
     double *bias, *pull;               /* modes, NULL where second derivatives are those of U alone; work: bends */
     double *held, *second;             /* of the tangent: bends x n, G_r U; TWIST x TWIST of the frame, NULL without stiffening */
     double *one, *first;               /* nodes: M 1; D + D x D: int rho X, int rho X X^T */

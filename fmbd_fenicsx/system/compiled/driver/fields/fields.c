@@ -50,8 +50,6 @@ static void add_column(const Field *e, int k, double c, double *U)
         for (int i = e->port_start[k - e->inertial]; i < e->port_start[k - e->inertial + 1]; i++) U[e->port_on[i]] += c * e->port[i];
 }
 
-#include "fields/stiffened.c"
-
 /* F += A (U + beta U') by nodes; each sum stays in registers until its row is done. */
 static void blocks_times(long nodes, const NodeMatrix *A, const double *U, const double *Ud, double beta, double *F)
 {
@@ -66,6 +64,8 @@ static void blocks_times(long nodes, const NodeMatrix *A, const double *U, const
             for (int c = 0; c < D; c++) F[D * i + j] += sum[D * j + c];
     }
 }
+
+#include "fields/stiffened.c"
 
 /* F += M A by nodes */
 static void add_mass(const Field *e, const double *A, double *F)
@@ -169,6 +169,7 @@ static int nodal_force(System *s, const Body *o, const double *R, const Motion *
     else if (held) add(e->force, 1.0, e->held_force, e->n);
     else if ((verdict = material_force(e, U, Ud, e->force))) return verdict;
     if (e->dead) add_loads(e, R, U, sum, local);
+    if (e->stressing) stress_of_loads(o->field, R, U, sum, local);
     times(R, sum, f);
     to_world(R, local, f + D);
     return square <= o->large ? DONE : LOOK;

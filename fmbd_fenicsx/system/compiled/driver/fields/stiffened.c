@@ -1,13 +1,13 @@
 /* Fields with geometric stiffening: their second-order displacements, and ports of second order, as mechanics/elastic/stiffening.py,
    foreshortening.py and second_order.py.
 
-   Every stress acts by one scalar matrix on each component of U alike: those of unit a_c and L_ij, K_c, and those of unit forces on
-   the surfaces in use, G_r. They share a pattern and lie entry by entry, so that one pass gives all K_c U and G_r U (``bent``), and
+   Every stress acts by one scalar matrix on each component of U alike: those of unit a_c and L_ij, K_c, those of unit forces on
+   the surfaces in use, G_r, and D x D of each load, of its component i along axis j of the body. They share a pattern and lie entry by entry, so that one pass gives all K_c U and G_r U (``bent``), and
    the numbers U K U, U' K U, U' K U' (``form``). The ports are p = B U + N y with y_r = -U G_r U / 2: columns of H that follow U. */
 
 #include "bodies/second_order.c"
 
-static int stresses(const Field *e) { return e->stresses + e->bends; }
+static int stresses(const Field *e) { return e->stresses + e->bends + D * D * e->stressing; }
 
 /* ``bent`` and ``form`` of a configuration. */
 static void bend_field(const Field *e, const double *U, const double *Ud)
@@ -147,6 +147,39 @@ static void stiffened(const Body *o, const double **local, const double *W, cons
             e->force[D * i + j] += e->one[i] * a[j] + dot(L + D * j, e->MX + D * i, D);
             e->force[D * i + j] += dot(e->bent + stresses(e) * (D * i + j), stress, e->stresses);
         }
+}
+
+/* Stress and turns of loads, added to the resultant and the moment of the frame (body axes), and to the forces on the nodes. */
+static void stress_of_loads(Field *e, const double *R, const double *U, double *sum, double *local)
+{
+    const int first = e->stresses + e->bends, k = stresses(e);
+    double N[D * D] = {0.0}, moment[ROT];
+    for (int l = 0; l < e->stressing; l++) {
+        const double *twice = e->form + first + D * D * l, factor = e->load_factor[l];
+        double axes[D * D];
+        for (int i = 0; i < D; i++)
+            for (int j = 0; j < D; j++) axes[D * i + j] = factor * (e->load_turns[l] ? i == j : R[D * i + j]);
+        for (long i = 0; i < e->n; i++) e->force[i] += dot(e->bent + k * i + first + D * D * l, axes, D * D);
+        if (!e->turning[l]) { /* (5) of second_order.py: the work on second-order displacements */
+            for (int i = 0; i < D; i++)
+                for (int j = 0; j < D; j++) add(N + D * j, 0.5 * twice[D * i + j], axes + D * i, D);
+            continue;
+        }
+
+        memset(e->accel, 0, e->n * sizeof(double));
+        blocks_times(e->nodes, e->turning[l], U, U, 0.0, e->accel);
+        for (long i = 0; i < e->n; i += D)
+            for (int j = 0; j < D; j++) {
+                e->force[i + j] -= factor * e->accel[i + j];
+                sum[j] -= factor * e->accel[i + j];
+                add(N + D * j, -factor * e->X[i + j], e->accel + i, D);
+            }
+    }
+
+    for (long i = 0; e->stressing && i < e->n; i += D) /* by the ways of all that are carried along */
+        for (int j = 0; j < D; j++) add(N + D * j, -U[i + j], e->carried + i, D);
+    axial(N, moment);
+    add(local, 1.0, moment, ROT);
 }
 
 /* (3) of second_order.py, and m2 added to the arm of the weight. */

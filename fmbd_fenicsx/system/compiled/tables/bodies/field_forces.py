@@ -27,7 +27,9 @@ class FieldForces:
         self.part, self.store, self.dim = part, tables.store, tables.dim
         self._cache, self._key = tables.system.cache, k
         self.loads: list[Array] = []  # in world axes, in those of the frame, internal ones: (n d,) each
-        self.factors: list[tuple[Any, Array]] = []  # loads on the deformed body, and what multiplies their forms
+        # loads on the deformed body, and those whose stress stiffens it, with what multiplies their forms
+        self.factors: list[tuple[Any, Array]] = []
+        self.stressing: list[tuple[Any, Array]] = []
 
     def members(self) -> dict[str, int | float]:
         """Those of the structure Field."""
@@ -46,7 +48,30 @@ class FieldForces:
             self.store.kept.append(drag)
             made["drag"] = self.store.structure(node_matrix(drag, self.dim))
 
-        return made | self._listed("integrals", "integral", formed or [])
+        return made | self._listed("integrals", "integral", formed or []) | self._of_stress()
+
+    def _of_stress(self) -> dict[str, int | float]:
+        """Loads whose stress stiffens the body."""
+        stiffening, store = self.part.stiffening, self.store
+        if stiffening is None or not stiffening.loads:
+            return {}
+        loads = [load for load, _ in stiffening.loads]
+        factors, at = store.array(np.zeros(len(loads)))
+        self.stressing = [(load, factors[i : i + 1]) for i, load in enumerate(loads)]
+        turning = [0 if A is None else store.structure(node_matrix(A, self.dim)) for A in map(self._turning, loads)]
+        return {
+            "stressing": len(loads), "load_factor": at, "load_turns": store.integers([x.follower for x in loads]),
+            "turning": store.array(turning, np.uint64)[1],
+        }  # fmt: skip
+
+    def _turning(self, load: Any) -> NodeBlocks | None:
+        """What displacements add to the nodal forces of a load that is carried along; None of others."""
+        found = [A for one, A in self.part.stiffening.turned.matrices if one is load]
+        if not found:
+            return None
+        blocks = NodeBlocks(found[0], self.dim)
+        self.store.kept.append(blocks)
+        return blocks
 
     def of_pressure(self) -> dict[str, int]:
         """Members of the structure Pressure: those of its balance, of a body that is not linear."""
@@ -100,6 +125,8 @@ class FieldForces:
         carried[:] = loads.carried(t).ravel()
         for load, factor in self.factors:
             factor[0] = -load.factor(t, name)
+        for load, factor in self.stressing:
+            factor[0] = load.factor(t, name)
 
 
 def formed_forces(cache: dict[Any, Any], k: int, part: Any) -> Formed | None:
@@ -153,7 +180,7 @@ def _known(forms: list[tuple[Any, Any]], moving: list[Any]) -> Formed | None:
 def told_in_c(cache: dict[Any, Any], k: int, part: Any) -> bool:
     """Whether the forces of the field of part k are in C; Python tells all others. ``cache``: of the system."""
     field = part.field
-    if part.stiffening is not None and (field.loads.loads or field.nonlinear):
+    if part.stiffening is not None and (field.loads.moving or field.nonlinear):
         return False
     if field.mixed and (address_of_solve() is None or formed_balance(cache, k, part) is None):
         return False

@@ -57,7 +57,7 @@ class FieldTable:
         self.part: Any = system.parts[k]
         self.rows = system.frame_rows[k]
         self.turns = isinstance(self.part, RestingField) and self.part.turns
-        # stress of loads that stiffens a body goes with that of inertia forces
+        # what C does not know of a stiffened body is told with its inertia forces
         self.told = not told_in_c(system.cache, k, self.part)  # whether Python tells its forces
         self.whole = self.told and self.part.stiffening is not None
         self.changes = self.turns or self.told or self.part.slack is not None  # matrices with the steps that were made
@@ -356,14 +356,14 @@ class FieldTable:
         store, stiffening = self.tables.store, part.stiffening
         pattern, entries = stiffening.entries
         first = d + d * d
-        entries = entries[:, first:] if self.told else entries
+        bends = 0 if part.shortening is None else part.shortening.N.shape[1]
+        entries = entries[:, first : first + bends] if self.told else entries
         stresses = 0 if self.told else first
-        bends = entries.shape[1] - stresses
 
         N = np.zeros((self.count, bends))
         if part.shortening is not None:
             N[self.inertial :] = part.shortening.N[self.ports]
-        second, k = stiffening.second, stresses + bends
+        second, k = stiffening.second, entries.shape[1]
         arrays = {
             "N": N, "bent": np.zeros((part.n, k)), "form": np.zeros((3, k)), "bias": np.zeros(self.count),
             "pull": np.zeros(bends), "one": stiffening.first[:: d, 0], "first": np.concatenate((second.S0, second.X0.ravel())),
