@@ -28,7 +28,7 @@ from .search.shares import DOUBTED, Allowed
 
 SUDDEN = 1 / 3  # of the size of the step before: the error of smooth motion does not ask for so much less at once
 # steps within which kinks ask for as much less beside refused ones, of tolerances below which they do not pass unseen
-SOON, NOT_PASSED = 3, 5e-5
+SOON, NOT_PASSED = 3, 5e-6
 MANY = 6 * FEWEST  # steps of which four in one still follow the motion
 MEAN_ORDER = "mean order"  # counter of schemes that change their order
 SLOW = 0.75  # share of the order of the scheme that errors are stated by, where half of it would do
@@ -44,11 +44,12 @@ def may_be_larger(problem: Problem, given: Compared, counters: Mapping[str, floa
     step is suddenly smaller than the one before, or was refused but for its error (``counters``). What kinks leave is of the
     order :data:`.MOST_LEFT` at most: beside refused steps nothing above that is taken for granted, and has to be seen, which few
     steps do not show; of a scheme that changes its order none is seen, so that no steps may be much smaller soon behind others,
-    by a tolerance that tells kinks from quick motion. A few of its steps are those of its start.
+    by a tolerance that tells kinks from quick motion. A few of its steps are those of its start, of high orders twice as many.
     """
     order, changes = _taken_order(problem.scheme, counters)
-    refused, few = counters.get("rejections", 0.0), given.steps < MANY
-    unseen = bool(refused) and SLOW * order > MOST_LEFT
+    refused, high = counters.get("rejections", 0.0), SLOW * order > MOST_LEFT
+    few = given.steps < MANY * (2 if changes and high else 1)
+    unseen = bool(refused) and high
     passed = unseen and problem.scheme.rtol > NOT_PASSED
     if refused > counters.get("rejected: error estimate", 0.0) or (few and (unseen or changes)) or (changes and passed):
         return False
