@@ -15,7 +15,7 @@ from motion import elastic_rod, elastic_scene
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import FmbdError, LinearSolveError
 from fmbd_fenicsx.fem.fields import Field
-from fmbd_fenicsx.linear.blocks.field_blocks import Weights
+from fmbd_fenicsx.linear.blocks.field_blocks import FactoredField, Weights
 from fmbd_fenicsx.linear.blocks.spd import CholeskyFactor, MassInverse
 from fmbd_fenicsx.linear.condensation import StepSolver
 from fmbd_fenicsx.linear.core import CoreSolver
@@ -311,3 +311,35 @@ def test_light_body_between_heavy_ones_moves_like_none(light: float) -> None:
 def test_massless_body_that_nothing_holds_is_refused() -> None:
     with pytest.raises(FmbdError, match='"ghost".*mass'):
         fmbd.RigidBody("ghost", 0.0, 0.1)
+
+
+def test_a_field_is_eliminated_from_what_it_sees_of_the_core(
+    rod_mesh: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not from the columns of all other bodies, of which many would take the square of their number in each."""
+    widths: list[int] = []
+    seen_by = FactoredField.seen_by
+
+    def noted(self: FactoredField, R: np.ndarray, S: np.ndarray) -> np.ndarray:
+        widths.extend((R.shape[1], S.shape[1]))
+        return seen_by(self, R, S)
+
+    monkeypatch.setattr(FactoredField, "seen_by", noted)
+    mesh, law = rod_mesh(h=0.5, height=0.4), fmbd.materials.plane_stress(1e8, 0.3)
+    found, matrices = [], []
+    for count in (1, 4):
+        scene = fmbd.Scene("rods", gravity=(0.0, -9.81))
+        for k in range(count):
+            rod = fmbd.FloatingBody(f"rod {k}", mesh, density=1000.0, elastic=law, degree=1)
+            scene.add(rod, fmbd.revolute(f"pin {k}", fmbd.ground, rod.surface("pin"), center=(0, 0)))
+        system, state, _ = scene.build()
+        solver = StepSolver(system)
+        widths.clear()
+        solver.prepare(system.at(0.0, state.q, state.v), Weights(1.0, 0.0, 1e-6))
+        found.append(max(widths))
+        b = np.random.default_rng(1).standard_normal(system.n_v)
+        x, y = solver.solve(b, np.zeros(system.n_lam))
+        matrices.append(dense(system, state, 1.0, 1e-6) @ np.concatenate((x, y)) - np.concatenate((b, 0 * y)))
+        solver.destroy()
+    assert found[0] == found[1]
+    assert max(np.abs(left).max() for left in matrices) < 1e-9

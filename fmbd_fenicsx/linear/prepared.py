@@ -66,12 +66,15 @@ class Condensed(Prepared):
         left, right = border.on_core()
         lower, upper = np.concatenate((joints, right)), np.concatenate((joints.T, left), axis=1)
         C = np.diag(np.repeat((0.0, -1.0), (len(joints), border.count)))
+        blocks = self.fields.blocks
+        whole = np.block([[dense(A), upper], [lower, C]])
+        whole = whole.astype(np.result_type(whole, *(block.W for block in blocks)), copy=False)
 
-        for block, S, R in zip(self.fields.blocks, self.couplings, self.back_couplings, strict=True):
-            WS = block.seen_by(R, S)
-            A, C = A - WS[:n, :n], C - WS[n:, n:]
-            lower, upper = lower - WS[n:, :n], upper - WS[:n, n:]
-        self.core.factor(A, lower, C, upper)
+        # a field sees little of the core
+        for block, S, R in zip(blocks, self.couplings, self.back_couplings, strict=True):
+            to, on = (np.flatnonzero(x.any(axis=0)) for x in (R, S))
+            whole[to[:, None], on] -= block.seen_by(R[:, to], S[:, on])
+        self.core.factor(whole[:n, :n], whole[n:, :n], whole[n:, n:], whole[:n, n:])
 
     def solve(self, b: Array, c: Array) -> tuple[Array, Array]:
         """As :meth:`Prepared.solve`; c of the rows that the core holds."""
