@@ -37,7 +37,7 @@ IMPACT, TOUCH = constants("impacts/flights.c", "INSTANT", "TOUCHING")
 DRIFT = 1e-5  # the same of a contact that carries a force: positions of closed contacts drift by O(h^3) a step
 # approach in a step from which on a touch is an impact also where a closed contact would only drift; that of a resting contact:
 # this share of the model's length in a step
-DEEP, SLOW = constants("impacts/moreau.c", "DEEP", "APPROACH")
+DEEP, SLOW, SLOWLY = constants("impacts/moreau.c", "DEEP", "APPROACH", "SLOWLY")
 LOCATING = enumeration("LOCATING", "impacts/flights.c")["LOCATING"]  # attempts to end a step where a contact closes
 
 
@@ -184,8 +184,8 @@ class MoreauStepper(ContactStepper):
         """Contacts (m,) of those right ``above`` their obstacle that end a step in it, by less than closed ones drift; and those
         that come to rest.
 
-        They take part in all of it, with their impact, and need no time of their own; where contacts do not rest ``early`` only
-        those do whose impacts are over when it ends.
+        They take part in all of it, with their impact, and no time of their own: those that come to rest, or are slow for what
+        a step changes in velocities, but not where contacts do not rest ``early``. In short steps fast ones are as near.
         """
         s, end = self.state, self._gap_along(step, 1.0) if above.any() else np.zeros(len(above))
         slow = above & (end < 0.0) & (end >= -DRIFT * self.system.length)
@@ -202,6 +202,8 @@ class MoreauStepper(ContactStepper):
             time = np.divide(last - rate, pull, out=np.zeros_like(rate), where=pull < 0.0)
         rests = np.zeros_like(slow)
         rests[slow] = _over(rows.restitution, rate, pull, time)
+        if self.rule.early:
+            slow[slow] = rests[slow] | (-rate <= SLOWLY * h * self.system.max_abs((step.v - s.v) / step.h))
         return (slow if self.rule.early else rests), rests
 
     def _classical(self, left: float) -> MoreauStep:

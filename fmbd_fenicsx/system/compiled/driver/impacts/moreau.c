@@ -22,6 +22,7 @@
 
 enum { BOUNDED = AM }; /* of the parameters: whether obstacles are thin, so that points could pass through */
 static const double APPROACH = 1e-8, DEEP = 1e-4; /* as in moreau.py */
+static const double SLOWLY = 10.0; /* times what a step changes in velocities: rates of touches that need no time of their own */
 
 /* What rates of gaps at a configuration need: the rows of stops, which are those of the last touch, and the motion of obstacles over
    the span h. 1 where Python failed. */
@@ -145,8 +146,9 @@ static int holding(System *s, Contacts *c, double *p, Block now, int m, double h
 }
 
 /* Contacts that a flight brings from above their obstacle into it, by less than closed ones drift: they take part in all of it, with
-   their impact, and need no time of their own; not ``early`` only those whose impacts are over then. How many more take part, or -1
-   where Python failed. */
+   their impact, and need no time of their own: those whose impacts are over then, or that are slow for what a step changes in
+   velocities, but not where contacts do not rest ``early``. In short steps fast ones are as near. How many more take part, or -1 where
+   Python failed. */
 static int slow_touches(System *s, Contacts *c, double *p, Block now, Block out, int m, double length, double h)
 {
     const double near = DRIFTING * p[LENGTH];
@@ -166,6 +168,7 @@ static int slow_touches(System *s, Contacts *c, double *p, Block now, Block out,
     /* rates of moving obstacles take the place of gaps */
     if (gap_rates(c, c->ahead, *now.t + length, h, c->rate) || along_parabola(s, c, now, out, length, 1.0)) return -1;
     for (int i = 0; i < s->nv; i++) out.a[i] = (out.v[i] - now.v[i]) / length;
+    const double slow = SLOWLY * h * largest_of(s->units, out.a, s->nv);
     int kept = 0;
     for (int k = m; k < m + more; k++) {
         const int i = c->closed[k];
@@ -178,7 +181,7 @@ static int slow_touches(System *s, Contacts *c, double *p, Block now, Block out,
             time = pull < 0.0 ? (last - rate) / pull : 0.0;
         }
         c->bouncing[i] = !accumulates(c, i, pull, rate, time);
-        if (c->early || !c->bouncing[i]) c->closed[m + kept++] = i;
+        if (!c->bouncing[i] || (c->early && -rate <= slow)) c->closed[m + kept++] = i;
     }
     return kept;
 }
