@@ -88,6 +88,28 @@ def double_pendulum(upper: float, lower: float, t_end: float) -> tuple[fmbd.Scen
     return scene, np.array([np.cos(p) + np.cos(q), np.sin(p) + np.sin(q)])
 
 
+def hoist(t_end: float) -> tuple[fmbd.Scene, np.ndarray]:
+    """1e3 kg on links of 1 m and 1e-6 to 1 kg from 0.3 rad, and where it is by an integration: links without mass are a rod."""
+    way, before = np.array([np.sin(0.3), -np.cos(0.3)]), fmbd.ground
+    scene = fmbd.Scene("hoist", gravity=(0.0, -G))
+    for i, mass in enumerate((1e-6, 1e-4, 1e-2, 1e-1, 1.0, 1e3)):
+        link = fmbd.RigidBody(f"link {i}", mass, 1e-2 * mass, tuple((i + 1.0) * way))
+        scene.add(link, fmbd.revolute(f"pin {i}", before, link, center=tuple(i * way)))
+        before = link
+    scene.sensor("end", fmbd.position(before))
+
+    def rates(t: float, y: np.ndarray) -> np.ndarray:
+        (p, q), w = y[:2], y[2:]
+        c, s = 5 * np.cos(p - q), 5 * np.sin(p - q)
+        return np.r_[
+            w,
+            np.linalg.solve([[25, c], [c, 1.01]], [-s * w[1] ** 2 - 5 * G * np.sin(p), s * w[0] ** 2 - G * np.sin(q)]),
+        ]
+
+    p, q = solve_ivp(rates, (0.0, t_end), (0.3, 0.3, 0.0, 0.0), "DOP853", rtol=1e-11, atol=1e-12).y[:2, -1]
+    return scene, np.array([5 * np.sin(p) + np.sin(q), -5 * np.cos(p) - np.cos(q)])
+
+
 def heavy_on_light() -> Iterator[Row]:
     for upper, lower in ((1, 1), (1, 1e4), (1, 1e8), (1, 1e12), (1, 1e16), (1e8, 1), (1e16, 1)):
         scene, exact = double_pendulum(upper, lower, 0.5)
@@ -97,6 +119,13 @@ def heavy_on_light() -> Iterator[Row]:
             lambda run, exact=exact: np.abs(run["end"][-1] - exact).max(),
             1e-3,
         )
+    scene, exact = hoist(0.5)
+    yield tried(
+        "1e-06, 1e-04, 1e-02, 1e-01, 1e+00 kg above 1e+03 kg",
+        lambda: fmbd.solve(scene, t_end=0.5, dt=2e-3),
+        lambda run: np.abs(run["end"][-1] - exact).max(),
+        1e-3,
+    )
 
 
 # ---------------------------------------------------------------------------------------------------- stiff on soft

@@ -7,7 +7,7 @@ from extremes import EDGES, REFUSED, RIGHT, WRONG
 
 pytestmark = pytest.mark.serial
 QUICK = ("impacts", "sudden")
-AT_LEAST = {"light": 7, "stiff": 4, "slivers": 5, "nu": 8, "spin": 7, "singular": 4, "redundant": 5, "impacts": 3,
+AT_LEAST = {"light": 8, "stiff": 4, "slivers": 5, "nu": 8, "spin": 7, "singular": 4, "redundant": 5, "impacts": 3,
             "snap": 1, "sudden": 6}  # fmt: skip
 
 
