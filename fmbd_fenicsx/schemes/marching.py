@@ -22,7 +22,7 @@ from ..system.layout import State, States
 from ..system.system import System
 from .dense_output import within
 from .newton import Newton
-from .stepping import UNOBSERVED, EnergyJudge, Observers, TimeStepper
+from .stepping import UNOBSERVED, Observers, TimeStepper
 
 if TYPE_CHECKING:
     from ..system.compiled.kept import KeptSteps
@@ -48,17 +48,35 @@ def take_newton(p: Array, newton: Newton, steps: int) -> None:
     newton.theta = float(p[slots.THETA])
 
 
-def lend_energies(p: Array, judge: EnergyJudge | None) -> None:
-    """Write into the parameters of compiled steps by what energies are judged, where they are."""
-    p[slots.GUARDED] = judge is not None
-    if judge is not None:
-        p[slots.HIGHEST : slots.SETTLING + 1] = judge.limits
+def make_steps(
+    march: March,
+    h: float,
+    count: int,
+    newton: Newton,
+    observers: Observers,
+    *,
+    most: float = np.inf,
+    **lent: int | None,
+) -> tuple[int, int]:
+    """Up to so many steps of size h (s) from what the march has loaded, up to a state faster than ``most`` (m/s), under those who
+    see them; the number made, and the verdict of the one that stopped them. ``lent``: addresses, as of :meth:`.March.steps`.
+    """
+    p, energy, joints = march.parameters, observers.energy, observers.joints
+    energies = slice(slots.HIGHEST, slots.SETTLING + 1)
+    p[slots.H], p[slots.THETA], p[slots.GUARDED] = h, newton.theta, energy is not None
+    if energy is not None:
+        p[energies] = energy.limits
+    if joints is not None:
+        march.judge(joints.limits(h), most)
 
+    march.tables.recall()
+    made, verdict = march.steps(count, observers.tape, judged=joints is not None, **lent)
 
-def take_energies(p: Array, judge: EnergyJudge | None) -> None:
-    """Give the judge back what steps that were made have moved on."""
-    if judge is not None:
-        judge.limits = tuple(p[slots.HIGHEST : slots.SETTLING + 1])
+    if made and energy is not None:
+        energy.limits = tuple(p[energies])
+    if made and joints is not None:
+        joints.passed(march.ring.state().t, float(march.closed.fastest))
+    return made, verdict
 
 
 class CompiledSteps(TimeStepper):
@@ -240,27 +258,18 @@ class MarchingStepper(CompiledSteps):
         if march is None or driver is None:
             return 0
 
-        p, joints = march.parameters, observers.joints
-        p[slots.H], p[slots.THETA] = h, self.newton.theta
-        lend_energies(p, observers.energy)
-        if joints is not None:
-            march.judge(joints.limits(h), most)
-        march.tables.recall()
-        self._prepare_room(march.room, alone=joints is None)
+        self._prepare_room(march.room, alone=observers.joints is None)
         kept = self._own(factored=driver.begin_steps(s))
         march.load([(s.t, s.q, s.v, s.a, np.zeros_like(s.a), s.lam)] * len(kept))
         for i, one in enumerate(kept):
             march.ring.own(i)[:] = one
 
-        made, verdict = march.steps(count, observers.tape, judged=joints is not None)
+        made, verdict = make_steps(march, h, count, self.newton, observers, most=most)
         self._stopped = bool(verdict)
         driver.end_steps(march.state() if made and not verdict and self.leaves_masses else None)
         if made:
             self.state, self._began = march.state(), march.state(1)
             self._take_march(march, made)
-            take_energies(p, observers.energy)
-            if joints is not None:
-                joints.passed(self.state.t, float(march.closed.fastest))
         march.calls.forget_error()  # parts of the step meet it again
         if verdict and verdict not in (*AGAIN, slots.SIZE):
             self._refuse(h)

@@ -18,7 +18,7 @@ from ...rotations import Array
 from ...system.compiled import march as slots
 from ...system.layout import State
 from ...system.serialisation import plain
-from ..marching import lend_energies, lend_newton, take_energies, take_newton
+from ..marching import lend_newton, make_steps, take_newton
 from ..stepping import UNOBSERVED, Observers
 from .contact_stepper import ContactStepper
 from .elastic_step import Confirmed, ElasticStep, is_smooth
@@ -154,20 +154,14 @@ class ElasticContactStepper(ContactStepper):
             self._refused = s
             return 0
 
-        p, joints, driver = march.parameters, observers.joints, self.solver.driver
-        lend_newton(p, self.system, self.newton)
+        lend_newton(march.parameters, self.system, self.newton)
         self._lend(march, h)
-        p[slots.H], p[slots.THETA] = h, self.newton.theta
-        lend_energies(p, observers.energy)
-        if joints is not None:
-            march.judge(joints.limits(h), np.inf)
-
+        driver = self.solver.driver
         assert driver is not None
         driver.begin_steps(s)
-        march.tables.recall()
         march.load([(s.t, s.q, s.v, s.a, self._algorithmic(), s.lam)])
         march.around.begin(self, march.ring.own())
-        made, verdict = march.steps(steps, observers.tape, judged=joints is not None, contact=march.around.address)
+        made, verdict = make_steps(march, h, steps, self.newton, observers, contact=march.around.address)
         driver.end_steps(None)
         march.calls.forget_error()  # a step in Python meets it again
 
@@ -175,9 +169,6 @@ class ElasticContactStepper(ContactStepper):
             march.tables.remember()
             self._began = s if made == 1 else march.state(1)
             self._take(march, made, h)
-            take_energies(p, observers.energy)
-            if joints is not None:
-                joints.passed(self.state.t, float(march.closed.fastest))
         if verdict:
             self._refused = self.state
         return made

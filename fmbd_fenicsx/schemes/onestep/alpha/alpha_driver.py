@@ -18,17 +18,19 @@ from ....rotations import Array
 from ....system.compiled import march as slots
 from ....system.compiled.calls import WHOLE_SAMPLE, Calls
 from ....system.compiled.choice import STORAGE_LIMIT, driver_of, solves
-from ....system.compiled.march import JointLimits, March
+from ....system.compiled.march import March
 from ....system.compiled.tables.bodies.fields import Block
 from ....system.compiled.tables.resting import twin_of
 from ....system.compiled.tables.tables import Tables
-from ....system.compiled.tape import Tape
 from ....system.layout import States
 from ....system.system import System
+from ...marching import make_steps
 
 if TYPE_CHECKING:
     from ....linear.blocks.field_blocks import Weights
     from ....system.compiled.states.evaluation import DriverStates
+    from ...newton import Newton
+    from ...stepping import Observers
     from .compiled_control import CompiledControl
 
 
@@ -67,19 +69,13 @@ class AlphaDriver(March):
             at += len(x.memory)
 
     def march(
-        self,
-        steps: int,
-        tape: Tape | None = None,
-        control: CompiledControl | None = None,
-        joints: JointLimits | None = None,
+        self, h: float, steps: int, newton: Newton, observers: Observers, control: CompiledControl | None
     ) -> tuple[int, int]:
-        """As :meth:`steps`; raises what a call into Python has raised. Forces beyond the range of numbers are those of an
+        """As :func:`.make_steps`; raises what a call into Python has raised. Forces beyond the range of numbers are those of an
         iterate: the step counts as one that was not found.
         """
-        if joints is not None:
-            self.judge(joints, np.inf)
         address = None if control is None else control.address
-        made, verdict = self.steps(steps, tape, address, judged=joints is not None)
+        made, verdict = make_steps(self, h, steps, newton, observers, control=address)
         if isinstance(self.calls.error, BalanceError):
             self.calls.forget_error()  # who makes the step by itself meets it again
             return made, slots.NEWTON

@@ -15,7 +15,7 @@ from ....system.compiled import march as slots
 from ....system.compiled.declarations import constants
 from ....system.compiled.tape import on_the_way
 from ....system.layout import State, States
-from ...marching import COMPILED, CompiledSteps, lend_energies, lend_newton, take_energies
+from ...marching import COMPILED, CompiledSteps, lend_newton
 from ...stepping import UNOBSERVED, Observers
 from .alpha_driver import AlphaDriver
 from .alpha_step import FAR, PATIENCE, AlphaStep, Rule, StepStart
@@ -264,20 +264,14 @@ class CompiledAlphaStepper(CompiledSteps, AlphaStepper):
             self._load()
         driver, newton = self.driver, self.newton
         p = driver.parameters
-        p[slots.H], p[slots.THETA], p[slots.EVENS] = h, newton.theta, not self.fresh
-        lend_energies(p, observers.energy)
-
-        driver.tables.recall()
+        p[slots.EVENS] = not self.fresh
         driver.tables.c.renewals = newton.renewals
         factors = int(driver.tables.c.factors)
         # steps of one size close their joints or fail, and are judged where they are looked at
-        joints = None if control is None else observers.joints
-        made, verdict = driver.march(steps, observers.tape, control, None if joints is None else joints.limits(h))
+        observers = observers if control else replace(observers, joints=None)
+        made, verdict = driver.march(h, steps, newton, observers, control)
         self.solver.core.factorisations += int(driver.tables.c.factors) - factors
-        if joints is not None and made:
-            joints.passed(driver.state().t, float(driver.closed.fastest))
         if made:
-            take_energies(p, observers.energy)
             self.size = p[slots.H] if control is None else control.c.size
             self._take(made)
         # not again from the same state with the same step: NumPy has it
