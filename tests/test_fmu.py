@@ -71,18 +71,10 @@ def couple(first: Any, second: Any, steps: int) -> float:
     return first.get("x")
 
 
-class Half(Unit):
-    """A unit with inputs by name, as a master has them."""
-
-    def set(self, name: str, value: float) -> None:
-        """Set an input."""
-        self.stepper.set(name, value)
-
-
 def test_two_halves_converge_to_the_whole() -> None:
     errors = []
     for steps in (10, 20):
-        halves = Half(lambda: _scene(HALF), dt=2.5e-3), Half(other, dt=2.5e-3)
+        halves = Unit(lambda: _scene(HALF), dt=2.5e-3), Unit(other, dt=2.5e-3)
         errors.append(abs(couple(*halves, steps) - whole()))
         for half in halves:
             half.close()
@@ -157,8 +149,8 @@ def test_unit_of_fmi(tmp_path: Path) -> None:
     about = fmpy.read_model_description(str(file))
     assert about.fmiVersion == "3.0"
     assert about.coSimulation.canGetAndSetFMUstate
-    remote, near, far = Remote(file), Half(other, dt=2.5e-3), Half(other, dt=2.5e-3)
-    local = Half(lambda: _scene(HALF), dt=2.5e-3)
+    remote, near, far = Remote(file), Unit(other, dt=2.5e-3), Unit(other, dt=2.5e-3)
+    local = Unit(lambda: _scene(HALF), dt=2.5e-3)
     assert couple(remote, near, 10) == couple(local, far, 10)
     _refuses_and_lives_on(remote, fmpy.fmi1.FMICallException, about)
     for half in (near, far, local):

@@ -10,20 +10,19 @@ from collections.abc import Callable
 
 from ..errors import FmbdError, require
 from ..system.scene.scene import Scene
-from .stepper import Saved, SceneStepper, stepper
+from .stepper import SceneStepper
 
 
-class Unit:
-    """A scene between communication points; ``dt`` (s) is the largest step that it takes in between."""
+class Unit(SceneStepper):
+    """The stepper of a scene between communication points; ``dt`` (s) is the largest step that it takes in between."""
 
     def __init__(self, make: Callable[[], Scene], *, dt: float) -> None:
-        self.scene = make()
-        require(isinstance(self.scene, Scene), f"A unit needs a function that returns a scene, found {self.scene!r}.")
-        self.dt = dt
-        self.stepper: SceneStepper = stepper(self.scene, dt=dt)
+        scene = make()
+        require(isinstance(scene, Scene), f"A unit needs a function that returns a scene, found {scene!r}.")
+        super().__init__(scene, dt)
         self.outputs: dict[str, tuple[str, int]] = {}
-        for sensor, quantity in self.scene.sensors.items():
-            size = len(self.stepper[sensor])
+        for sensor, quantity in scene.sensors.items():
+            size = len(self[sensor])
             labels = list(quantity.labels)
             for k in range(size):
                 tail = "" if size == 1 else f"_{labels[k]}" if k < len(labels) else f"_{k + 1}"
@@ -32,7 +31,7 @@ class Unit:
     def get(self, output: str) -> float:
         """Present value of an output."""
         sensor, k = self.outputs[output]
-        return float(self.stepper[sensor][k])
+        return float(self[sensor][k])
 
     def unit_of(self, output: str) -> str:
         """Its unit of measurement."""
@@ -44,25 +43,13 @@ class Unit:
         Raises:
             FmbdError: the unit stands elsewhere, or a step fails; the state is then that of the point t.
         """
-        if abs(self.stepper.t - t) > 1e-9 * max(h, abs(t)):
-            raise FmbdError(f"The unit stands at t = {self.stepper.t:g} s and was asked for a step from t = {t:g} s.")
-        kept = self.stepper.save()
+        if abs(self.t - t) > 1e-9 * max(h, abs(t)):
+            raise FmbdError(f"The unit stands at t = {self.t:g} s and was asked for a step from t = {t:g} s.")
+        kept = self.save()
         parts = max(1, int(-(-h // (self.dt * (1 + 1e-9)))))
         try:
             for _ in range(parts):
-                self.stepper.step(h / parts)
+                self.step(h / parts)
         except FmbdError:
-            self.stepper.restore(kept)
+            self.restore(kept)
             raise
-
-    def save(self) -> Saved:
-        """The state, to come back to as often as needed."""
-        return self.stepper.save()
-
-    def restore(self, saved: Saved) -> None:
-        """Go back to a state."""
-        self.stepper.restore(saved)
-
-    def close(self) -> None:
-        """Free the stepper."""
-        self.stepper.close()

@@ -60,7 +60,9 @@ class SceneStepper(Uncopied):
 
     instead = "Its save() keeps a state and restore() goes back to it; a second stepper(scene, ...) is independent of the first."
 
-    def __init__(self, scene: Scene, dt: float, *, scheme: Any, newton: Newton | None, linear: Any) -> None:
+    def __init__(
+        self, scene: Scene, dt: float, *, scheme: Any = None, newton: Newton | None = None, linear: Any = None
+    ) -> None:
         number("Step dt =", dt, above=0.0, unit="s")
         scheme = default_scheme(scene) if scheme is None else scheme
         newton = Newton() if newton is None else newton.afresh()

@@ -74,7 +74,7 @@ def attach(slave: Any, make: Callable[[], Scene], *, dt: float) -> None:
     slave.author, slave.description = "fmbd_fenicsx", f'Scene "{unit.scene.name}"'
     slave.register_units([Measure(name=u) for u in sorted({unit.unit_of(o) for o in unit.outputs})])
     varying = Fmi3Variability.continuous
-    time = Float64("time", causality=Fmi3Causality.independent, variability=varying, getter=lambda: unit.stepper.t)
+    time = Float64("time", causality=Fmi3Causality.independent, variability=varying, getter=lambda: unit.t)
     slave.register_variable(time, nested=False)
 
     for label, name in inputs.items():
@@ -118,7 +118,7 @@ def _distinct(names: list[str]) -> None:
 def _set(slave: Any, name: str, value: float) -> None:
     """Set an input; one out of range makes the call fail, and the unit lives on."""
     try:
-        slave.unit.stepper.set(name, value)
+        slave.unit.set(name, value)
     except FmbdError:
         # pythonfmu3 gives up its references to the unit when a call fails: a master that goes on would use freed memory
         for kept in (slave, type(slave), slave.log_queue):
