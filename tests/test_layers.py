@@ -28,6 +28,7 @@ FLOORS = [
         "agreement",
         "leaving",
         "uncopied",
+        "answers",
     },
     {"fem"},
     {"mechanics"},

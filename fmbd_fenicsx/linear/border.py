@@ -9,7 +9,6 @@ The fields are eliminated from (1) with the factors and columns that they have a
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,8 +17,6 @@ from ..rotations import Array
 from ..system.system import System
 from ..system.tangents.force_tangent import ForceTangent
 from ..system.tangents.foreshortened_ports import tangent_ports
-
-Solve = Callable[[Array, Array], tuple[Array, Array]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,31 +65,6 @@ class Border:
         for (k, _), ports in zip(s.fields, tangent_ports(s, local, self.t), strict=True):
             y = y + self.right[n:][s.port_slice(k)].T @ ports
         return y
-
-
-class AroundSolver:
-    """(1) around a solver that knows nothing of the elements, by Woodbury's formula: r further solves a configuration.
-
-    ``solve(b, c)`` gives an increment like v and multipliers; collective.
-    """
-
-    def __init__(self, border: Border, solve: Solve) -> None:
-        self.border, self.inner = border, solve
-        none = np.zeros(border.system.n_lam)
-        self.answers = [solve(border.forces(j), none) for j in range(border.count)]
-        # 1 + R^T K^-1 L of Woodbury's formula
-        small = np.array([border.seen(x) for x, _ in self.answers]).reshape(border.count, border.count).T
-        self.small = np.eye(border.count) + small
-
-    def solve(self, b: Array, c: Array) -> tuple[Array, Array]:
-        """Increment like v and multipliers (n_lam,) for right-hand sides b (like v) and c (n_lam,)."""
-        x, lam = self.inner(b, c)
-        if not self.answers:
-            return x, lam
-        y = np.linalg.solve(self.small, self.border.seen(x))
-        for yj, (column, reaction) in zip(y, self.answers, strict=True):
-            x, lam = x - yj * column, lam - yj * reaction
-        return x, lam
 
 
 def loaded_ports(system: System) -> np.ndarray:

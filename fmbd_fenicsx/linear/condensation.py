@@ -237,7 +237,7 @@ class StepSolver:
         if self.whole:
             self._refuse_redundant()
             self.split.prepare(fields, A)
-            return Whole(s, border, self.split.solve)
+            return Whole(border, self.split.solve)
         if self.iterated is not None:
             self.iterated.prepare(ev, w, A)
             nothing = [None] * len(self.blocks)

@@ -4,6 +4,7 @@ iterated around these, or as a whole. Equation (1) is that of :mod:`.condensatio
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from ..rotations import Array, rotate_nodal
 from ..system.layout import Layout
 from ..system.system import System
 from ..system.tangents.foreshortened_ports import tangent_ports
-from .border import AroundSolver, Border
+from .border import Border
 from .core import CoreSolver
 from .field_couplings import FieldCouplings
 
@@ -154,11 +155,26 @@ class TiesIterated(Prepared):
 
 
 class Whole(Prepared):
-    """The matrix is solved as it stands, by its blocks (:mod:`.fieldsplit.solver`); force elements on fields around it."""
+    """The matrix is solved as it stands, by its blocks (:mod:`.fieldsplit.solver`), and force elements on fields around it: (1)
+    of :mod:`.border` by Woodbury's formula, r further solves a configuration.
 
-    def __init__(self, system: System, border: Border, solve: Any) -> None:
-        self.system, self.around = system, AroundSolver(border, solve)
+    ``solve(b, c)`` knows nothing of these, and gives an increment like v and multipliers; collective.
+    """
+
+    def __init__(self, border: Border, solve: Callable[[Array, Array], tuple[Array, Array]]) -> None:
+        self.system, self.border, self.inner = border.system, border, solve
+        none = np.zeros(border.system.n_lam)
+        self.answers = [solve(border.forces(j), none) for j in range(border.count)]
+        # 1 + R^T K^-1 L of Woodbury's formula
+        small = np.array([border.seen(x) for x, _ in self.answers]).reshape(border.count, border.count).T
+        self.small = np.eye(border.count) + small
 
     def solve(self, b: Array, c: Array) -> tuple[Array, Array]:
         """As :meth:`Prepared.solve`."""
-        return self.around.solve(b, c)
+        x, lam = self.inner(b, c)
+        if not self.answers:
+            return x, lam
+        y = np.linalg.solve(self.small, self.border.seen(x))
+        for yj, (column, reaction) in zip(y, self.answers, strict=True):
+            x, lam = x - yj * column, lam - yj * reaction
+        return x, lam

@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 
+from ..answers import answered_by
 from ..rotations import Array, Motions
 
 
@@ -67,6 +68,7 @@ class Kinematics:
         return None if self.moving is None else self.moving.bias()
 
 
+@answered_by("_rest", "jac_frame jac_port moving turned angle")
 class SeenKinematics(Kinematics):
     """Markers whose motion is known: x (n, d), R (n, d, d) and twist (n, d + n_rot); all else follows from ``whole`` when someone
     asks for it.
@@ -79,31 +81,6 @@ class SeenKinematics(Kinematics):
     @cached_property
     def _rest(self) -> Kinematics:
         return self._whole()
-
-    @cached_property
-    def jac_frame(self) -> Array:  # type: ignore[override]
-        """By the twists of the frames."""
-        return self._rest.jac_frame
-
-    @cached_property
-    def jac_port(self) -> Array:  # type: ignore[override]
-        """By the rates of the ports."""
-        return self._rest.jac_port
-
-    @cached_property
-    def moving(self) -> Moving | None:  # type: ignore[override]
-        """What biases follow from."""
-        return self._rest.moving
-
-    @cached_property
-    def turned(self) -> Array | None:  # type: ignore[override]
-        """Counted angles."""
-        return self._rest.turned
-
-    @cached_property
-    def angle(self) -> Array | None:
-        """In the plane."""
-        return self._rest.angle
 
 
 @dataclass(frozen=True)

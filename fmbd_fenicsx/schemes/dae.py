@@ -34,6 +34,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from ..answers import answered_by
 from ..checks import check_fields
 from ..errors import require
 from ..rotations import Array
@@ -214,6 +215,7 @@ class StateSpace(Form):
     frozen = True
 
 
+@answered_by("of", "levels index pulls")
 @dataclass(frozen=True)
 class Projected(Form):
     """Another form, followed by a projection of q, then v, in the mass metric after each step."""
@@ -232,21 +234,6 @@ class Projected(Form):
     def name(self) -> str:
         """With the form that is projected."""
         return f"Projected({self.of.name})"
-
-    @property
-    def levels(self) -> tuple[int, ...]:  # type: ignore[override]
-        """Of the inner form."""
-        return self.of.levels
-
-    @property
-    def index(self) -> int:  # type: ignore[override]
-        """Of the inner form."""
-        return self.of.index
-
-    @property
-    def pulls(self) -> tuple[float, float]:
-        """Of the inner form."""
-        return self.of.pulls
 
 
 @dataclass

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from math import inf
 from typing import TYPE_CHECKING, Any, Protocol
 
+from ..answers import answered_by
 from ..errors import InputError, require
 from ..system.compiled.choice import use_driver
 from ..system.evaluation import Evaluation
@@ -184,12 +185,12 @@ class TimeStepper(Remembering):
         raise NotImplementedError(f"{_kind(self)} keeps no steps.")
 
 
-# what a stepper around another one does not say itself
-LISTED = "path struck passes_marks kinks origin earlier told between within bound restart note stride tape step_back"
-
-
+@answered_by(
+    "stepper",
+    "path struck passes_marks kinks origin earlier told between within bound restart note stride tape step_back",
+)
 class Around(TimeStepper):
-    """A stepper around another one, ``stepper``, which answers what this one does not say itself of :data:`LISTED`."""
+    """A stepper around another one, ``stepper``, which answers what this one does not say itself."""
 
     stepper: TimeStepper
 
@@ -201,20 +202,6 @@ class Around(TimeStepper):
     @state.setter
     def state(self, state: State) -> None:
         self.stepper.state = state
-
-
-class _Within:
-    """An attribute of the stepper within."""
-
-    def __init__(self, name: str) -> None:
-        self.name = name
-
-    def __get__(self, around: Around, kind: type) -> Any:
-        return getattr(around.stepper, self.name)
-
-
-for _name in LISTED.split():
-    setattr(Around, _name, _Within(_name))
 
 
 def made_stepper(scheme: Any, *given: Any, gives_up: bool = False) -> TimeStepper:

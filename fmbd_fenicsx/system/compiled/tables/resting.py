@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from ....answers import answered_by
 from ....mechanics.elastic.absolute import AbsoluteField
 from ....mechanics.elastic.field_part import FieldPart
 from ....mechanics.joints.trace_rows import TiedSide, TraceRows
@@ -24,6 +25,7 @@ from ...system import System
 from ..blocks import Block
 
 
+@answered_by("part", "renewable foretells begins_anew mean_forces mean_force")
 class RestingField(FieldPart):
     """An absolute field in a frame at rest; what is not linear of its forces stays with the field itself."""
 
@@ -44,21 +46,6 @@ class RestingField(FieldPart):
         self.turns = field.nonlinear  # its tangent turns with the body
 
     @property
-    def renewable(self) -> bool:
-        """As the field itself."""
-        return self.part.renewable
-
-    @property
-    def foretells(self) -> bool:
-        """As the field itself."""
-        return self.part.foretells
-
-    @property
-    def begins_anew(self) -> bool:
-        """As the field itself."""
-        return self.part.begins_anew
-
-    @property
     def began(self) -> Array:
         """Rotation of the body where the tangent was taken, and sum of (M X) X^T, (2, d, d)."""
         X = self.field.X
@@ -71,15 +58,6 @@ class RestingField(FieldPart):
     def held_force(self, motion: FrameMotion, local: tuple[Array, Array, Array]) -> tuple[Array, Array]:
         """Rows of the frame, zero, and forces on the nodes without inertia and weight."""
         return np.zeros(self.motions.n_twist), self.part.held_force(motion.t, *local[:2])
-
-    @property
-    def mean_forces(self) -> Any:
-        """As the field's own."""
-        return self.part.mean_forces
-
-    def mean_force(self, motion: FrameMotion, local: tuple[Array, Array, Array], h: float) -> Array:
-        """Forces on the nodes over a step of size h (s), as the field's own."""
-        return self.part.mean_force(motion, local, h)
 
     def energies(self, motion: FrameMotion, pose: Array, local: tuple[Array, Array]) -> tuple[float, float, float]:
         """Kinetic, elastic and weight energy, J."""
