@@ -163,6 +163,7 @@ def named(
     def call(*args: Any, alone: bool = False) -> Any:  # at every iterate, some of them: no more calls than are needed
         if AGREEMENTS and not alone:
             return AGREEMENTS[-1](f'{what} "{name}"', lambda: call(*args, alone=True))
+
         try:
             value = function(*args)
             none = to_end and (value != value if isinstance(value, float) else _no_number(value))

@@ -255,10 +255,12 @@ class BDFStepper(ImplicitStepper):
         assert starter is not None
         starter.recorded = self.recorded
         starter.bound(self.longest, self.ends, self.last)
+
         guessed = len(self.past) == 1  # the size of the first step
         self.state, self.local_error = starter.advance(h), starter.local_error
         self._remember(self.state, starter.mult)
         self.eq.weigh(self.state)
+
         if self.adaptive:
             assert starter.proposed is not None
             self.proposed = starter.proposed

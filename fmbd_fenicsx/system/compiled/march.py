@@ -103,6 +103,7 @@ class March:
         what elastic bodies may touch.
         """
         self.parameters[COUNTED] = 0.0
+
         made = self.library.march(
             self.address,
             self.scheme,

@@ -109,6 +109,8 @@ class CompiledControl:
             for kept, largest in ((self._sizes, norm.q_size), (self._speeds, norm.v_size)):
                 largest[own] = self.twin.forces(kept)[: len(own)][own]
         norm.way = c.way
+
+        # where in which stretch, and the controller
         stretch.done, stretch.end = Fraction(c.place, c.count), c.end
         if c.lost < np.inf:
             stretch.lost = c.lost, c.until

@@ -49,10 +49,12 @@ class TiedPoints:
         self.sees: dict[int, SeenByTie] = {}
         self._frames: list[int] = []
         self._ports: list[np.ndarray] = []
+
         self.items = [self._rows(tie, np.arange(rows.start, rows.stop)) for tie, rows in system.traces]
         for law, rows in system.port_constraints:
             if isinstance(law, PortConstraint):
                 self.items += self._own_rows(law, np.arange(rows.start, rows.stop))
+
         heads = {rows.start: law for law, rows in system.port_constraints if isinstance(law, HeadSide)}
         wires = [(law, rows) for law, rows in system.port_constraints if isinstance(law, WireSide)]
         self.items += [
