@@ -69,8 +69,9 @@ class Loads:
 
     @property
     def follows_laws(self) -> bool:
-        """Whether laws of the motion tell some of them, whose stiffness may not last."""
-        return self.stiff and any(law is not None for law in self.laws)
+        """Whether laws tell some of them: those of the motion, whose stiffness may not last, or of time, which may be a pulse."""
+        known = ((law, getattr(f, "law", None)) for law, f in zip(self.laws, self.forces, strict=True))
+        return any(law is not None and not getattr(given, "stays", False) for law, given in known)
 
     @property
     def markers(self) -> tuple[np.ndarray, ...]:

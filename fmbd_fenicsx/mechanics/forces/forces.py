@@ -95,6 +95,7 @@ class Constant:
     """What is prescribed over time, where it stays the same."""
 
     value: Array
+    stays: ClassVar[bool] = True
 
     def __call__(self, t: float) -> Array:
         """The value at any time."""
