@@ -27,7 +27,7 @@ from .orders import MOST_LEFT, REGULAR, TOO_HIGH, expected_orders, resolved, see
 from .search.shares import DOUBTED, Allowed
 
 SUDDEN = 1 / 3  # of the size of the step before: the error of smooth motion does not ask for so much less at once
-# steps within which kinks ask for as much less beside refused ones, of tolerances below which they do not pass unseen
+# steps within which kinks ask for as much less beside refused ones, and the tolerance below which high orders do not pass them
 SOON, NOT_PASSED = 3, 5e-6
 MANY = 6 * FEWEST  # steps of which four in one still follow the motion
 MEAN_ORDER = "mean order"  # counter of schemes that change their order
@@ -41,10 +41,11 @@ def _taken_order(scheme: Any, counters: Mapping[str, float]) -> tuple[float, boo
 
 def may_be_larger(problem: Problem, given: Compared, counters: Mapping[str, float]) -> bool:
     """Whether steps that are two of a run's in one tell its error: its scheme takes them, it is recorded at its own ends, and no
-    step is suddenly smaller than the one before, or was refused but for its error (``counters``). What kinks leave is of the
-    order :data:`.MOST_LEFT` at most: beside refused steps nothing above that is taken for granted, and has to be seen, which few
-    steps do not show; of a scheme that changes its order none is seen, so that no steps may be much smaller soon behind others,
-    by a tolerance that tells kinks from quick motion. A few of its steps are those of its start, of high orders twice as many.
+    step is suddenly smaller than the one before, or was refused but for its error (``counters``): beside such steps none may be
+    as much smaller within the next few, as kinks, which are passed in several, ask for. What these leave is of the order
+    :data:`.MOST_LEFT` at most: beside refused steps nothing above that is taken for granted, and has to be seen, which few steps
+    do not show; of a scheme that changes its order none is seen, and its tolerance has to tell kinks from quick motion. A few of
+    its steps are those of its start, of high orders twice as many.
     """
     order, changes = _taken_order(problem.scheme, counters)
     refused, high = counters.get("rejections", 0.0), SLOW * order > MOST_LEFT
@@ -58,7 +59,7 @@ def may_be_larger(problem: Problem, given: Compared, counters: Mapping[str, floa
     if not known or scene.contacts or scene.limits or seen_by_ends(problem.system):
         return False
     sizes = [np.diff(t) for t in _stretches(given)]
-    soon = range(1, 1 + (SOON if changes and unseen else 1))
+    soon = range(1, 1 + (SOON if refused else 1))
     # the last one ends where it has to
     smooth = all((h[k:-1] > SUDDEN * h[: -1 - k]).all() for h in sizes for k in soon)
     return smooth and sum(map(len, sizes)) >= 2 * FEWEST
