@@ -159,9 +159,10 @@ class AskedFunction(Answers):
 
     def _differences(self, poses: Poses, t: float, together: bool) -> Array:
         """(2)."""
-        stepped = self._stepped(poses, self.steps)
-        x, R = (np.concatenate((here[..., None] + d, here[..., None] - d), axis=-1) for here, d in stepped)
-        found = self._columns((x, R), t, together)
+        (x, shift), (R, turn) = self._stepped(poses, self.steps)
+        x, R = x[..., None], R[..., None]
+        both = np.concatenate((x + shift, x - shift), axis=-1), np.concatenate((R + turn, R - turn), axis=-1)
+        found = self._columns(both, t, together)
         ahead, behind = found[:, : self.width], found[:, self.width :]
         return np.asarray((ahead - behind) / (2.0 * self.steps), dtype=float)
 
@@ -264,6 +265,10 @@ class AskedKind(PythonKind):
         found = np.empty((len(rows), 1 + f.width))
         found[:, 0], found[:, 1:] = f.at(poses, t).real, rows
         return found
+
+    def _rates(self, at: At, t: float, whole: bool) -> Array:
+        f = self.function
+        return super()._rates(at, t, whole) if whole or f.timed else np.zeros((f.count, 2))
 
     def _in_time(self, at: At, t: float) -> Array:
         """Whether the function depends on time, and g_t, (1 + m,)."""
