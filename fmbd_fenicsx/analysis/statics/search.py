@@ -80,10 +80,15 @@ def _found(newton: StaticNewton, start: StaticPoint, t: float) -> StaticPoint:
 
 
 def _downhill(newton: StaticNewton, start: StaticPoint, t: float) -> StaticPoint:
-    """The equilibrium by descent; with contact, whose increments descend anyway, from the same start with a shorter step."""
+    """The equilibrium by descent, else from where a motion comes to rest; with contact, whose increments descend anyway, from the
+    same start with a shorter step.
+    """
     slow = _slow(newton, t)
     if descends(newton):
-        return descend(newton, start, t)
+        try:
+            return descend(newton, start, t)
+        except ConvergenceError:  # many kinks close to each other, as of a net whose ropes only pull
+            pass
     if newton.residual.system.contacts is None:
         return by_load_steps(newton, relax(newton, start, t, slow), t)
     newton.last_at_most(slow)
