@@ -184,8 +184,8 @@ class MoreauStepper(ContactStepper):
         """Contacts (m,) of those right ``above`` their obstacle that end a step in it, by less than closed ones drift; and those
         that come to rest.
 
-        They take part in all of it, with their impact, and no time of their own: those that come to rest, or are slow for what
-        a step changes in velocities, but not where contacts do not rest ``early``. In short steps fast ones are as near.
+        They take part in all of it, with their impact, and no time of their own: those that are slow for what a step
+        changes in velocities, and where contacts do not rest ``early`` those that rest. In short steps fast ones are as near.
         """
         s, end = self.state, self._gap_along(step, 1.0) if above.any() else np.zeros(len(above))
         slow = above & (end < 0.0) & (end >= -DRIFT * self.system.length)
@@ -203,7 +203,7 @@ class MoreauStepper(ContactStepper):
         rests = np.zeros_like(slow)
         rests[slow] = _over(rows.restitution, rate, pull, time)
         if self.rule.early:
-            slow[slow] = rests[slow] | (-rate <= SLOWLY * h * self.system.max_abs((step.v - s.v) / step.h))
+            slow[slow] = -rate <= SLOWLY * h * self.system.max_abs((step.v - s.v) / step.h)
         return (slow if self.rule.early else rests), rests
 
     def _classical(self, left: float) -> MoreauStep:

@@ -146,8 +146,8 @@ static int holding(System *s, Contacts *c, double *p, Block now, int m, double h
 }
 
 /* Contacts that a flight brings from above their obstacle into it, by less than closed ones drift: they take part in all of it, with
-   their impact, and need no time of their own: those whose impacts are over then, or that are slow for what a step changes in
-   velocities, but not where contacts do not rest ``early``. In short steps fast ones are as near. How many more take part, or -1 where
+   their impact, and no time of their own: those that are slow for what a step changes in velocities, and where contacts do not rest
+   ``early`` those whose impacts are over then. In short steps fast ones are as near. How many more take part, or -1 where
    Python failed. */
 static int slow_touches(System *s, Contacts *c, double *p, Block now, Block out, int m, double length, double h)
 {
@@ -181,7 +181,7 @@ static int slow_touches(System *s, Contacts *c, double *p, Block now, Block out,
             time = pull < 0.0 ? (last - rate) / pull : 0.0;
         }
         c->bouncing[i] = !accumulates(c, i, pull, rate, time);
-        if (!c->bouncing[i] || (c->early && -rate <= slow)) c->closed[m + kept++] = i;
+        if (c->early ? -rate <= slow : !c->bouncing[i]) c->closed[m + kept++] = i;
     }
     return kept;
 }
