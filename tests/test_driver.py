@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import itertools
+import tracemalloc
 from dataclasses import replace
 from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
 import pytest
+from chains import chain
 from test_compiled import pair, stepper_of
 from test_kernel import flexible
 
@@ -627,3 +629,18 @@ def test_forces_of_time_act_beside_joints_that_are_there_twice() -> None:
         return fmbd.solve(scene, t_end=0.02, dt=1e-3)
 
     assert made(2)["end"][-1] == pytest.approx(made(1)["end"][-1], abs=1e-12)
+
+
+@compiled
+def test_the_place_of_an_entry_takes_no_room_for_all_fronts() -> None:
+    """A start asks some times for each body: all fronts at each question would be the square of their number."""
+    peaks = []
+    for n in (30, 600):
+        fronts = Tables(chain(n)[0].build()[0], redundant=0).fronts
+        assert len(fronts.fronts) >= n // 2
+        fronts.place([0], [0])
+        tracemalloc.start()
+        fronts.place([0], [0])
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[1] < peaks[0] + 1000

@@ -257,10 +257,9 @@ class Fronts:
             pivots = sum(len(unknowns[x]) for x in unit)
             self.fronts.append(Front(rows, pivots, first + order[rest[0]][0] if rest else -1))
 
-        sizes = [len(f.unknowns) for f in self.fronts]
-        self.ld = [-(-size // LANES) * LANES for size in sizes]
-        lengths = [ld * size for ld, size in zip(self.ld, sizes, strict=True)]
-        self.start = np.concatenate(([0], np.cumsum(lengths))).astype(np.int64)
+        sizes = np.array([len(f.unknowns) for f in self.fronts], np.int64)
+        self.ld = -(-sizes // LANES) * LANES
+        self.start = np.concatenate(([0], np.cumsum(self.ld * sizes))).astype(np.int64)
         self._index(sum(len(x) for x in (*unknowns, *apart)))
         self.apart = bool(apart)
         self.lot = np.zeros(self.size, np.int64)  # of each unknown, 0: those that are not apart
@@ -312,5 +311,4 @@ class Fronts:
         swap = self.position[i] < self.position[j]
         late, early = np.where(swap, j, i), np.where(swap, i, j)
         front = self.front_of[early]
-        ld = np.asarray(self.ld)[front]
-        return np.asarray(self.start[front] + ld * self.row_in(front, early) + self.row_in(front, late))
+        return np.asarray(self.start[front] + self.ld[front] * self.row_in(front, early) + self.row_in(front, late))

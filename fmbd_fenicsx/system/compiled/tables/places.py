@@ -152,7 +152,7 @@ def _fronts(tables: TableLayout) -> Any:
         rest = f.unknowns[f.pivots :]
         to = fronts.row_in(np.full(len(rest), f.following), rest) if len(rest) else rest
         one = kind(
-            pivots=f.pivots, rows=len(f.unknowns), ld=fronts.ld[k], next=f.following, start=int(fronts.start[k]),
+            pivots=f.pivots, rows=len(f.unknowns), ld=int(fronts.ld[k]), next=f.following, start=int(fronts.start[k]),
             apart=int(f.apart), unknown=store.integers(f.unknowns), to=store.integers(to),
         )  # fmt: skip
         made.append(one)
