@@ -166,7 +166,7 @@ class RodSection:
         """A constant, or a function of s (m), as it is ``made`` to an array at the places s, (n, ...)."""
         given = getattr(self, what)
         if callable(given):
-            return np.array([made(given(at), at) for at in s.tolist()])
+            return np.array([made(given(at), at) for at in map(float, s)])
         if what not in self._constants:
             self._constants[what] = made(given, float(s[0]))
         return np.repeat(self._constants[what][None], len(s), axis=0)
