@@ -396,6 +396,8 @@ def project(system: System, state: State, solver: StepSolver, metric: Weights = 
 
 def _closed_velocities(system: System, state: State, solver: StepSolver, metric: Weights = MASS) -> Array:
     """The nearest ones that constraints allow; collective."""
+    if not system.n_lam:
+        return state.v
     ev = system.at(state.t, state.q, state.v)
     _prepare(solver, ev, metric)
     return state.v + solver.solve(np.zeros(system.n_v), -ev.opening())[0]

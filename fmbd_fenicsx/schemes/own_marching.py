@@ -123,7 +123,7 @@ class OwnMarch(MarchingStepper):
         control.span = max(control.span, limit)
         own.lend(norm.q_size, norm.v_size, norm.deflections)
         own.c.pause, own.c.since = control.pause, control.since
-        own.c.worst = own.c.refused = 0.0
+        own.c.worst = own.c.refused = own.c.filtered = 0.0
         own.c.failed[:] = [0.0] * len(own.c.failed)
 
         # where its steps end

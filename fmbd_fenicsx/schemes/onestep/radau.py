@@ -360,7 +360,7 @@ class RadauStepper(ImplicitStepper):
     def _take_own(self, own: OwnRoom, made: int) -> None:
         super()._take_own(own, made)
         self._trouble = int(own.c.trouble)
-        self.iteration.judge.solves += made + int(own.c.refused)  # of the estimates
+        self.iteration.judge.solves += int(own.c.filtered)  # of the estimates
 
     def _recall(self, kept: Array, factored: float) -> None:
         head, last = self._told(kept)

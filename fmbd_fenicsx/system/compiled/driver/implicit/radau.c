@@ -304,8 +304,8 @@ static int left_between(System *s, const Implicit *o, double h, double t, const 
     return DONE;
 }
 
-/* The error of the stages of a step from a state with these multipliers, over the tolerance. */
-static int own_error(System *s, Implicit *o, double h, const Block *now, const double *mult, double *work, double *error)
+/* Note the error of the stages of a step from a state with these multipliers, over the tolerance. */
+static int own_error(System *s, Implicit *o, double h, const Block *now, const double *mult, double *work, Passing *found)
 {
     const OwnSteps *c = o->own;
     const Stages *g = o->stages;
@@ -333,17 +333,19 @@ static int own_error(System *s, Implicit *o, double h, const Block *now, const d
         apply_real(&directions, 1.0, mult + g->m, kin);
     }
 
+    found->filtered++;
     if ((verdict = filtered(s, o, kin, push, change, work, rest))) return verdict;
     const double *parts[3] = {change, change + n, push};
-    *error = step_error(s, o, parts, kinds, rest);
-    if ((verdict = error_of_memories(s, o, h, error)) || !c->between) return verdict;
+    found->error = step_error(s, o, parts, kinds, rest);
+    if ((verdict = error_of_memories(s, o, h, &found->error)) || !c->between || !(found->error < INFINITY)) return verdict;
 
     /* forces that bend within a step may leave nothing of one such sum by luck, hardly of two */
     verdict = left_between(s, o, h, *now->t, dq, v, kin, push, rest);
     if (verdict) return verdict == NEWTON || verdict == SINGULAR ? DONE : verdict;
+    found->filtered++;
     if ((verdict = filtered(s, o, kin, push, change, work, rest))) return verdict;
     const double between = step_error(s, o, parts, kinds, rest);
-    *error = between < *error ? *error : between; /* nan stays */
+    if (!(between < found->error)) found->error = between; /* nan, too */
     return DONE;
 }
 
@@ -386,7 +388,7 @@ static int passing_stages(System *s, double *p, Implicit *o, const Block *now, B
             work[KNOWN] = 0.0; /* the tangent was that in the middle of a longer step */
             continue;
         }
-        if (verdict || (verdict = own_error(s, o, p[H], now, mult, work, &found->error))) return verdict;
+        if (verdict || (verdict = own_error(s, o, p[H], now, mult, work, found))) return verdict;
         if (lets_pass(c, found)) return DONE;
 
         /* the tangent goes on serving */

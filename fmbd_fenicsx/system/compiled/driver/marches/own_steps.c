@@ -20,7 +20,7 @@ typedef struct OwnSteps {
     double ahead;                      /* the next of all these, s */
     double given;                      /* whether steps end at these times alone, whatever their errors are */
     double sample;                     /* when a controller samples: who takes the sample makes the step that ends there, s */
-    double worst, refused;             /* of a march: the largest error, and how many were too large */
+    double worst, refused, filtered;   /* of a march: the largest error, how many were too large, and by how many solutions */
     double failed[FAILING];            /* how many tries at a step had no end, by cause */
     double order, shrink, grow, least; /* of the controller; least error that it remembers */
     double pause, since;               /* steps on a grid behind a failure that do not grow, twice as many where one comes soon again; steps since */
@@ -32,10 +32,10 @@ typedef struct OwnSteps {
 } OwnSteps;
 
 /* A step on its way to one that passes: the size that is proposed, the error of the newest try over the tolerance, and how many such
-   errors have refused it so far, how often it had no end, and by cause. */
+   errors have refused it so far, by how many solutions they were found, how often it had no end, and by cause. */
 typedef struct {
     double proposed, error;
-    int refused, failures, failed[FAILING];
+    int refused, filtered, failures, failed[FAILING];
 } Passing;
 
 static const double MISSED = 1e-14; /* share of a time by which a step may miss it */
@@ -121,6 +121,7 @@ static void note_passing(OwnSteps *c, const Passing *found)
 {
     c->worst = fmax(c->worst, found->error);
     c->refused += found->refused;
+    c->filtered += found->filtered;
     c->since += 1.0;
     if (found->failures && c->first > 0.0) {
         c->pause = c->since <= 2.0 * c->pause ? fmax(2.0 * c->pause, LONG_PAUSE) : 1.0;
