@@ -29,7 +29,7 @@ from .schedule import StepSchedule, far_side, near_side
 
 SHARE = 0.05  # of the largest acceleration: a jump that is told
 NAMED = 6  # instants in a message
-LOOKS = 200  # intervals of a run that are looked at
+LOOKS, EACH = 200, 8  # intervals of a run that are looked at, and of one of its steps, at most
 
 
 @dataclass(frozen=True)
@@ -58,9 +58,10 @@ class Accelerations:
 def warn_of_acceleration_jumps(system: System, schedule: StepSchedule) -> None:
     """Tell of drives, and of when their accelerations jump (s). Those that differences tell are smooth over their widths."""
     known = (x for x, _ in prescribed(system) if isinstance(x, SmoothMotion) and not (x.by_differences or x.analytic))
+    looked_at = instants(schedule, min(LOOKS, EACH * schedule.steps or LOOKS))
     for motion in {id(x): x for x in known}.values():
         try:
-            found = _jumps(Accelerations(motion), instants(schedule, LOOKS))
+            found = _jumps(Accelerations(motion), looked_at)
         except FmbdError:  # beyond where a run has ended that was to be longer
             continue
 

@@ -234,9 +234,12 @@ class Follower:
     def _compare(self, level: int, what: str, of: str, step: tuple[float, float]) -> None:
         """Refuse a rate that is not the slope of what it belongs to, at any of three places of a step."""
         a, h = step
-        found = [self._apart(level, a + k * h, h) for k in PLACES]
-        if found[0] is None or not all(found):
-            return
+        found = []
+        for k in PLACES:
+            apart = self._apart(level, a + k * h, h)
+            if apart is None:
+                return
+            found.append(apart)
         t, given, slope = found[0]
         raise InputError(
             f"The {what} of {self.name} contradicts its {of}: at t = {t:.6g} s it is given as {given:.6g} and is {slope:.6g} by "
