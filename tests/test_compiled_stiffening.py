@@ -17,6 +17,7 @@ from fmbd_fenicsx.materials import plane_stress
 from fmbd_fenicsx.system.compiled.tables.bodies.fields import CondensedColumns, FieldTable
 
 pytestmark = compiled
+SUDDEN = 1.000002, -4.55229e-4  # m, tip of a pressed rod, by 500 equal steps of generalized-alpha
 FRAMES = {"mean axis": fmbd.MeanAxis(), "attached": fmbd.Attached("pin"), "chord": fmbd.Chord("pin", "tip")}
 
 
@@ -85,6 +86,26 @@ def test_above_the_first_frequency(rod_mesh: Callable[..., Any]) -> None:
         assert fast.counters["compiled_steps"] == 40
         assert np.abs(fast["tip"] - slow["tip"]).max() < 1e-9
         no_more_work(fast, slow)
+
+
+@pytest.mark.parametrize("order", [3, 7])
+def test_steps_of_many_sizes_under_a_sudden_pressure(
+    rod_mesh: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, order: int
+) -> None:
+    """A start whose nodes fly apart where they are foretold: tangents are those of the body; tables go on with new ones."""
+    made: list[int] = []
+    begun = FieldTable.__init__
+    monkeypatch.setattr(FieldTable, "__init__", lambda self, *given: (made.append(1), begun(self, *given))[1])
+    law = {"elastic": plane_stress(1e8, 0.3), "stiffening": "pin", "loads": (fmbd.pressure("side", 1e3),)}
+    rod = fmbd.FloatingBody("rod", rod_mesh(), density=1000.0, **law)
+    scene = fmbd.Scene("pressed", gravity=(0.0, -9.81))
+    scene.add(rod, fmbd.revolute("pin", fmbd.ground, rod.surface("pin"), center=(0, 0)))
+    scene.sensor("tip", fmbd.position(rod.surface("tip")))
+    output = fmbd.Output(times=(0.0, 0.01), energy=False)
+    run = fmbd.solve(scene, t_end=0.01, scheme=fmbd.Radau(order, rtol=1e-5), output=output)
+    assert len(made) <= 6
+    assert run.counters["factorisations"] < 30
+    np.testing.assert_allclose(run["tip"][-1], SUDDEN, atol=2e-7)
 
 
 def test_columns_that_give_way() -> None:

@@ -211,6 +211,8 @@ class FloatingField(FieldPart):
         The columns of the frame's inertia M (e x P), frozen at P = X before, follow the deformed body: an attached frame
         with large displacements needs them. They cost a few back-solves, no factor.
         """
+        if increment is not None and increment.predicted:  # node by node, without what holds them together
+            local = (local[0] - increment.moved, *local[1:])
         load = np.zeros(0) if self.stiffening is None else self._straining(self.stiffening, motion, local)[2]
         self._take_tangent(TangentPoint(motion.t, local[0].copy(), np.zeros(self.n), (load, motion.pull), None))
         return True

@@ -79,7 +79,7 @@ class FieldRenewals(Remembering):
     def take_predicted(self, ev: Evaluation, origin: Array) -> None:
         """The same, due or not."""
         s = self.system
-        led = [k for k, part in s.fields if part.begins_anew]
+        led = [k for k, part in s.fields if part.begins_anew or part.stiffens]
         ev.take_tangents(
             self.fields, {k: Approach(s.local_q(ev.q, k) - s.local_q(origin, k), predicted=True) for k in led}
         )
