@@ -95,22 +95,60 @@ def test_mass_and_its_centre(script):
     assert field.inertia[0, 0] == pytest.approx(400.0 * (1 / 12 + 0.01 / 12 + 0.75 * 0.25), rel=1e-12)
 
 
-def test_bimetal_strip_bends_as_timoshenko_says(script):
-    # equal layers, modulus ratio n: curvature 24 dT (alpha_2 - alpha_1) / (h (14 + n + 1 / n))
+def heated_strip(script, placement):
+    """End of a clamped strip of equal layers whose layer "two" is warm, over that of Timoshenko: modulus ratio n, curvature
+    24 dT (alpha_2 - alpha_1) / (h (14 + n + 1 / n)).
+    """
     mesh = fmbd.read_gmsh(script, volume=BOTH, stacked=True, length=4.0, h=0.05)
     rise = 1e-4  # alpha dT of the layer "two"
 
     def hot(v, dx, ds):
         return E["two"] * rise * inner(sym(grad(v))[0, 0], 1.0) * dx(mesh.volume_tag("two"))
 
-    heat = fmbd.loads.Load(hot, follower=True, internal=True)
-    body = fmbd.FloatingBody("strip", mesh, density=RHO, elastic=hooke(mesh), loads=[heat])
+    body = placement(mesh, fmbd.Load(hot, internal=True))
     scene = fmbd.Scene("strip")
     scene.add(body, fmbd.fixed("clamp", fmbd.ground, body.surface("left")))
     scene.sensor("end", fmbd.position(body.surface("right")))
     n = E["two"] / E["one"]
     curvature = 24 * rise / (0.2 * (14 + n + 1 / n))
-    assert fmbd.equilibrium(scene)["end"][1] == pytest.approx(-curvature * 4.0**2 / 2, rel=3e-3)
+    return fmbd.equilibrium(scene)["end"][1] / (-curvature * 4.0**2 / 2)
+
+
+def floating_strip(mesh, *loads):
+    return fmbd.FloatingBody("strip", mesh, density=RHO, elastic=hooke(mesh), loads=loads)
+
+
+def reduced_strip(mesh, *loads):
+    return floating_strip(mesh, *loads).reduced(basis=fmbd.CraigBampton(("left", "right"), 4))
+
+
+def absolute_strip(mesh, *loads):
+    def energy(u, dx):
+        laws = ((fmbd.materials.sheet_saint_venant_kirchhoff(E[name], 0.0), mesh.volume_tag(name)) for name in BOTH)
+        return sum(law(u, dx(tag)) for law, tag in laws)
+
+    return fmbd.AbsoluteBody("strip", mesh, density=RHO, energy=energy, loads=loads)
+
+
+@pytest.mark.parametrize("placement", [floating_strip, reduced_strip, absolute_strip])
+def test_bimetal_strip_bends_as_timoshenko_says(script, placement):
+    assert heated_strip(script, placement) == pytest.approx(1.0, rel=5e-3)
+
+
+def test_stress_that_does_not_turn_with_the_body_is_refused(script):
+    mesh = fmbd.read_gmsh(script, volume=BOTH, stacked=True, h=0.2)
+
+    def hot(v, dx, ds):
+        return E["two"] * 1e-4 * sym(grad(v))[0, 0] * dx(mesh.volume_tag("two"))
+
+    def couple(v, dx, ds):  # has a moment: no stress
+        return (v[1].dx(0) - v[0].dx(1)) * dx
+
+    for placement in (floating_strip, absolute_strip):
+        turning, warm = (placement(mesh, fmbd.Load(form)) for form in (couple, hot))
+        make_field("strip", mesh, turning.forms()).destroy()
+        with pytest.raises(InputError, match="is a stress.*internal=True"):
+            make_field("strip", mesh, warm.forms())
 
 
 def test_energy_in_volumes(script):

@@ -22,18 +22,20 @@ other half of a pressure's comes from the surface's edges and vanishes where the
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from .. import dolfinx_compat as compat
 from ..checks import check_fields, number, typed, vector
-from ..errors import CallbackError, InputError, named
+from ..errors import CallbackError, InputError, named, require
 from ..rotations import Array
 from .assembly import NodalVector
 
 Time = Callable[[float], float]
+
+BALANCED = 1e-9  # a resultant below this share of the sum of its parts is roundoff
 
 
 def steady(t: float) -> float:
@@ -45,9 +47,9 @@ def steady(t: float) -> float:
 class Load:
     """L(v) = ``form(v, dx, ds)`` times ``time(t)``; ``ds("tip")`` is the measure of a named surface.
 
-    ``follower``: fixed in the body's frame. ``internal``: no resultant on the frame. ``deformed``: form(u, v, dx, ds) used
-    instead by bodies with an energy, evaluated at the current u; those in absolute coordinates, which have no frame, need
-    it of followers and internal loads.
+    ``follower``: fixed in the body's frame. ``internal``: a stress S in the body, S : grad(v), which turns with it and has no
+    resultant on the frame. ``deformed``: form(u, v, dx, ds) used instead by bodies with an energy, evaluated at the current u;
+    by default S : F^T grad(v) of a stress. Those in absolute coordinates, which have no frame, need it of other followers.
     """
 
     form: Callable[[Any, Any, Any], Any]
@@ -60,6 +62,8 @@ class Load:
 
     def __post_init__(self) -> None:
         check_fields(self)
+        # the frame is the only axes that a load within a body can have
+        object.__setattr__(self, "follower", self.follower or self.internal)
 
     @property
     def carried(self) -> bool:
@@ -159,22 +163,33 @@ def thermal_stress(stress: Callable[[Any], Any], *, time: Time = steady) -> Load
     t E alpha dT / (1 - nu).
     """
 
-    def strained(rate: Any, dx: Any) -> Any:
-        import ufl
-
-        return ufl.inner(stress(ufl.SpatialCoordinate(dx.ufl_domain())), ufl.sym(rate)) * dx
-
     def form(v: Any, dx: Any, ds: Any) -> Any:
         import ufl
 
-        return strained(ufl.grad(v), dx)
+        return ufl.inner(stress(ufl.SpatialCoordinate(dx.ufl_domain())), ufl.sym(ufl.grad(v))) * dx
 
-    def deformed(u: Any, v: Any, dx: Any, ds: Any) -> Any:
-        import ufl
+    return Load(form, time, internal=True)
 
-        return strained((ufl.Identity(len(u)) + ufl.grad(u)).T * ufl.grad(v), dx)
 
-    return Load(form, time, follower=True, internal=True, deformed=deformed)
+def with_gradients(form: Any, v: Any, change: Callable[[Any], Any]) -> tuple[Any, bool]:
+    """``form`` with ``change(grad(v))`` in place of every grad(v), v its test function; and whether there was any."""
+    from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
+    from ufl.algorithms.apply_derivatives import apply_derivatives
+    from ufl.algorithms.map_integrands import map_integrand_dags
+    from ufl.corealg.multifunction import MultiFunction
+
+    found = []
+
+    class Replace(MultiFunction):  # type: ignore[misc]
+        expr = MultiFunction.reuse_if_untouched
+
+        def grad(self, o: Any) -> Any:
+            if o.ufl_operands[0] is not v:
+                return o
+            found.append(o)
+            return change(o)
+
+    return map_integrand_dags(Replace(), apply_derivatives(apply_algebra_lowering(form))), bool(found)
 
 
 def _carried(value: Any, u: Any, v: Any, dx: Any) -> Any:
@@ -216,7 +231,7 @@ class AppliedLoads:
         import ufl
         from dolfinx import fem
 
-        self.field, self.loads = field, tuple(loads)
+        self.field = field
         msh = field.mesh.dolfinx
         measure = ufl.Measure("ds", domain=msh, subdomain_data=field.mesh.facet_tags)
 
@@ -228,13 +243,10 @@ class AppliedLoads:
         v = ufl.TestFunction(field.space)
         self.fixed: list[tuple[Load, Array]] = []
         self.moving: list[tuple[Load, Any, NodalVector]] = []
-        for load in self.loads:
-            # a load that follows a nonlinear body is a form on it; others are vectors once and for all
-            moving = load.deformed is not None and field.nonlinear
+        self.loads: list[Load] = []
+        for given in loads:
             try:
-                form = load.deformed(field.argument, v, *self._measures) if moving else load.form(v, *self._measures)  # type: ignore[misc]
-                if not isinstance(form, ufl.Form) or len(form.arguments()) != 1:
-                    raise TypeError(f"found {form!r:.80}; integrate over dx or ds, once linear in v")
+                load, form, stress = self._formed(given, v)
                 rows = NodalVector(compat.form(form))
             except InputError:
                 raise
@@ -242,10 +254,48 @@ class AppliedLoads:
                 raise InputError(
                     f'A load on body "{field.name}" is not a linear UFL form in v: {type(error).__name__}: {error}'
                 ) from error
-            if moving:
+            self.loads.append(load)
+            if load.deformed is not None and field.nonlinear:
                 self.moving.append((load, fem.Constant(msh, 0.0), rows))
-            else:
-                self.fixed.append((load, rows.assembled().reshape(-1, field.dim)))
+                continue
+            b = rows.assembled().reshape(-1, field.dim)
+            require(
+                load.internal or not stress or not self._balanced(b),
+                f'A load on body "{field.name}" is a stress, a form of grad(v) without a resultant, and would keep its direction '
+                "in space where the body turns. Give Load(..., internal=True), whose stress turns with the body.",
+            )
+            self.fixed.append((load, b))
+
+    def _formed(self, load: Load, v: Any) -> tuple[Load, Any, bool]:
+        """The load as its body takes it, its form, and whether that has gradients of v."""
+        import ufl
+
+        # a load that follows a nonlinear body is a form on it; others are vectors once and for all
+        if load.deformed is not None and self.field.nonlinear:
+            return load, load.deformed(self.field.argument, v, *self._measures), False
+
+        form = load.form(v, *self._measures)
+        if not isinstance(form, ufl.Form) or len(form.arguments()) != 1:
+            raise TypeError(f"found {form!r:.80}; integrate over dx or ds, once linear in v")
+        stress = with_gradients(form, v, lambda slope: slope)[1]
+        if not (load.internal and stress and self.field.nonlinear):
+            return load, form, stress
+
+        def deformed(u: Any, v: Any, dx: Any, ds: Any) -> Any:
+            F = ufl.Identity(len(u)) + ufl.grad(u)
+            return with_gradients(load.form(v, dx, ds), v, lambda slope: ufl.dot(F.T, slope))[0]
+
+        return self._formed(replace(load, deformed=deformed), v)
+
+    def _balanced(self, b: Array) -> bool:
+        """Whether nodal forces (n, d) have neither a resultant nor a moment; collective."""
+        arms = np.concatenate([np.ones((len(b), 1)), self.field.X], axis=1)
+        found = self.field.total(arms.T @ b)
+        found[1:] -= found[1:].T.copy()
+        size = self.field.total(np.abs(arms).T @ np.abs(b)).sum(axis=1)
+        return bool(
+            np.abs(found[0]).max() <= BALANCED * size[0] and np.abs(found[1:]).max() <= BALANCED * size[1:].max()
+        )
 
     def moving_form(self, u: Any, v: Any) -> Any:
         """UFL form of all loads on the deformed body, L(u; v) times the factors of :meth:`at`; 0 without such loads."""

@@ -56,7 +56,7 @@ def _refuse_frames(field: Field) -> None:
     """Refuse loads that turn with the frame of a body, where there is none."""
     for number, load in enumerate(field.loads.loads):
         require(
-            load.deformed is not None or not (load.follower or load.internal),
+            load.deformed is not None or not load.follower,
             f'Load {number} on body "{field.name}" turns with the body\'s frame, and a body in absolute coordinates has none. '
             "Give the Load a form of the deformed body, deformed=lambda u, v, dx, ds: ..., with F = Identity(d) + grad(u); "
             "traction, body_force, pressure and thermal_stress have one.",

@@ -33,7 +33,7 @@ import numpy as np
 from ... import dolfinx_compat as compat
 from ...fem.assembly import times_columns
 from ...fem.fields import Field
-from ...fem.loads import Load
+from ...fem.loads import Load, with_gradients
 from ...fem.viscous import symmetric
 from ...rotations import Array, axial
 from ..frames import polar
@@ -41,23 +41,6 @@ from .foreshortening import Shortening, rigid_ports
 from .second_order import DisplacementMoments, SecondOrder, load_moment
 
 NOTHING = 1e-12  # nodal forces in one direction below this share of the largest are roundoff of normals
-
-
-def geometric_form(form: Any, v: Any, w: Any) -> Any:
-    """``form`` with every grad(v) replaced by grad(w)^T grad(v), v its test function."""
-    import ufl
-    from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
-    from ufl.algorithms.apply_derivatives import apply_derivatives
-    from ufl.algorithms.map_integrands import map_integrand_dags
-    from ufl.corealg.multifunction import MultiFunction
-
-    class Replace(MultiFunction):  # type: ignore[misc]
-        expr = MultiFunction.reuse_if_untouched
-
-        def grad(self, o: Any) -> Any:
-            return ufl.dot(ufl.transpose(ufl.grad(w)), o) if o.ufl_operands[0] is v else o
-
-    return map_integrand_dags(Replace(), apply_derivatives(apply_algebra_lowering(form)))
 
 
 def resultant_columns(field: Field, surface: str) -> Array:
@@ -195,7 +178,7 @@ class Stiffening:
         u = ufl.TrialFunction(field.space)
         v = ufl.TestFunction(field.space)
         stress, self._p0 = field.stress_form(self._u0, v)
-        self.matrix_form = compat.form(geometric_form(stress, v, u))
+        self.matrix_form = compat.form(with_gradients(stress, v, lambda slope: ufl.dot(ufl.grad(u).T, slope))[0])
 
     def coefficients(self, inertia: Array, t: float, R: Array) -> Array:
         """Of inertia (a, L), (d + d^2,), and of the loads at time t in the axes R."""

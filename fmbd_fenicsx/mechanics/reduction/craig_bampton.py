@@ -138,7 +138,7 @@ def _load_patterns(field: Field) -> list[Array]:
     found: list[Array] = []
     for load, b in field.loads.fixed:
         axes = np.eye(field.dim)
-        turned = [b] if load.follower or load.internal else [np.outer(c, e) for c in b.T for e in axes]
+        turned = [b] if load.follower else [np.outer(c, e) for c in b.T for e in axes]
         found += [x.ravel() for x in turned if field.total(np.array(np.abs(x).sum())) > 0]
     return found
 
