@@ -21,6 +21,7 @@ FAULTS = {
     "two parts": r'volume "plate" consists of 2 separate parts .\d+ nodes about \[0.5\d*, 0.\d+, 0.0\], \d+ nodes about \[2.\d+',
     "hinged": r'volume "plate" consists of 2 separate parts, hinged on each other',
     "two kinds": r'volume "plate" has cells of several kinds: \d+ of kind \w+ \w+ and \d+ of kind',
+    "few nodes": r'volume "plate" has \d+ of kind Quadrilateral 8, cells of order 2 with 8 nodes.*SecondOrderIncomplete',
     "not flat": r'volume "plate".*is not flat: z reaches from 0.00\d+ to 0.47',
     "two volumes": r"several volumes.*Choose one",
     "empty surface": r'surface "end" has no facets',
@@ -66,11 +67,16 @@ def build(gmsh: Any, fault: str) -> None:
     gmsh.option.setNumber("Mesh.MeshSizeMax", 0.5)
     if fault == "no cells":
         return
-    if fault == "two kinds":
+    if fault == "few nodes":
+        model.mesh.setTransfiniteSurface(plates[0])
+    if fault in ("two kinds", "few nodes"):
         model.mesh.setRecombine(2, plates[0])
     if fault == "lone point":
         model.addPhysicalGroup(0, [1], name="corner")
     model.mesh.generate(2)
+    if fault == "few nodes":
+        gmsh.option.setNumber("Mesh.SecondOrderIncomplete", 1)
+        model.mesh.setOrder(2)
     if fault == "inverted":
         invert(model, plates[0])
     if fault == "curved too far":

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from math import comb
 from typing import Any, cast
 
 import numpy as np
@@ -12,6 +13,7 @@ import numpy as np
 from ...errors import MeshError, near
 from .facet_groups import Tag, separate
 
+HIGHEST = 3  # order of cells that DOLFINx reads from gmsh
 DEGENERATE = 1e-14  # of the largest Jacobian determinant
 INVERTED = 1e-9  # of that of the cell: a corner may be flat, as behind a quarter point, and not turned inside out
 
@@ -251,11 +253,16 @@ def _sides(model: Any, cells: list[Cells], label: str, name: str) -> np.ndarray:
             "let gmsh recombine all of its surfaces or none, or give each kind its own volume and tie the bodies."
         )
 
-    _, dim, _, _, _, corners = kinds[cells[0].kind]
+    _, dim, order, nodes, _, corners = kinds[cells[0].kind]
     if (dim, corners) not in FACETS:
         raise MeshError(
             f'{label}: volume "{name}" has cells that a body cannot have: {listing}. Take triangles or quadrilaterals, '
             "in space tetrahedra or hexahedra."
+        )
+    if nodes != (comb(order + dim, dim) if corners == dim + 1 else (order + 1) ** dim) or order > HIGHEST:
+        raise MeshError(
+            f'{label}: volume "{name}" has {listing}, cells of order {order} with {nodes} nodes. Cells have all nodes of their '
+            f'order, at most {HIGHEST}: mesh with gmsh.option.setNumber("Mesh.SecondOrderIncomplete", 0), or take order 1.'
         )
     return np.array(FACETS[dim, corners])
 
