@@ -144,6 +144,8 @@ def test_ropes_that_only_pull_hang_as_a_catenary(stiffness: float) -> None:
     length = np.linalg.norm(way, axis=1)
     pull = (stiffness * (length - 1.0) / length)[:, None] * way
     np.testing.assert_allclose(np.diff(pull, axis=0), [[0.0, 98.1]] * len(beads), rtol=0, atol=1e-4)
+    # a descent among kinks that went on to its last: 271
+    assert found.counters["newton_iterations"] < 150, found.counters
 
 
 @pytest.mark.parametrize("push", [1e3, 1e6, 1e10])

@@ -35,6 +35,7 @@ from .static_newton import StaticNewton, StaticPoint
 
 MOST = 300  # coordinates up to which matrices are dense
 TRIES, CLOSING = 200, 12  # increments, and iterations that close the constraints after each
+PATIENCE = 40  # increments behind the least forces: by then they go to and fro over kinks
 FIRST, SHORTEST = 0.2, 1e-6  # length of increments, over that of the model and of the way from the start
 CLOSED = 1e-12  # over that length, by which constraints may stay open
 FLAT = 1e-13  # stiffness of a motion, over the largest, that is roundoff
@@ -56,6 +57,7 @@ def descend(newton: StaticNewton, start: StaticPoint, t: float) -> StaticPoint:
     assert not isinstance(spin, BodySpin)
     place = _Place(system, t, _closed(system, t, start.q, np.ones(system.n_v), system.length), spin, start.q)
     radius, last = FIRST * system.length, np.inf
+    least, behind = np.inf, 0
     use_driver(system)
 
     for _ in range(TRIES):
@@ -65,8 +67,10 @@ def descend(newton: StaticNewton, start: StaticPoint, t: float) -> StaticPoint:
         if whole and (size <= newton.tolerance * length or (size > 0.5 * last and size <= 1e-9 * length)):
             return StaticPoint(place.q, place.lam)
 
+        behind = 0 if place.force < least else behind + 1
+        least = min(least, place.force)
         share, there = _below(place, d)
-        if there is None:
+        if there is None or behind > PATIENCE:
             break
         # after a shorter one the next is no longer than that
         radius = min(2.0 * radius if share == 1.0 else share * size, FIRST * place.length)
@@ -115,6 +119,11 @@ class _Place:
         G = _rows(ev) * units[:, None]
         forces = ev.balance(self._rates[1]) / system.units
         return np.asarray(units * np.linalg.lstsq(G.T, -forces, rcond=RANK)[0])
+
+    @property
+    def force(self) -> float:
+        """The largest that is left, N."""
+        return float(np.abs(self._balance / self.system.units).max(initial=0.0))
 
     def work(self, d: Array) -> float:
         """Minus the power of all forces along an increment."""
