@@ -96,8 +96,8 @@ def test_steps_of_many_sizes_under_a_sudden_pressure(
     made: list[int] = []
     begun = FieldTable.__init__
     monkeypatch.setattr(FieldTable, "__init__", lambda self, *given: (made.append(1), begun(self, *given))[1])
-    law = {"elastic": plane_stress(1e8, 0.3), "stiffening": "pin", "loads": (fmbd.pressure("side", 1e3),)}
-    rod = fmbd.FloatingBody("rod", rod_mesh(), density=1000.0, **law)
+    law: dict[str, Any] = {"elastic": plane_stress(1e8, 0.3), "stiffening": "pin"}
+    rod = fmbd.FloatingBody("rod", rod_mesh(), density=1000.0, loads=(fmbd.pressure("side", 1e3),), **law)
     scene = fmbd.Scene("pressed", gravity=(0.0, -9.81))
     scene.add(rod, fmbd.revolute("pin", fmbd.ground, rod.surface("pin"), center=(0, 0)))
     scene.sensor("tip", fmbd.position(rod.surface("tip")))
@@ -106,6 +106,20 @@ def test_steps_of_many_sizes_under_a_sudden_pressure(
     assert len(made) <= 6
     assert run.counters["factorisations"] < 30
     np.testing.assert_allclose(run["tip"][-1], SUDDEN, atol=2e-7)
+
+
+def test_functions_of_loads_are_asked_once_a_step(rod_mesh: Callable[..., Any]) -> None:
+    """For the force, its moment and its stress together."""
+
+    def asked(steps: int) -> int:
+        times: list[float] = []
+        wave = lambda t: times.append(t) or np.sin(20.0 * t)  # type: ignore[func-returns-value]
+        loads = (fmbd.pressure("side", 1e3, time=wave),)
+        scene = floating(rod_mesh(h=0.25), FRAMES["attached"], stiffening="pin", loads=loads)
+        fmbd.solve(scene, t_end=steps * 1e-3, dt=1e-3, output=fmbd.Output(times=(0.0, steps * 1e-3), energy=False))
+        return len(times)
+
+    assert asked(30) - asked(10) <= 24
 
 
 def test_columns_that_give_way() -> None:

@@ -206,7 +206,7 @@ def test_a_blade_that_swings_freely(rod_mesh: Callable[..., Any], kind: str) -> 
 
 def test_accelerations_behind_a_tangent_far_away(rod_mesh: Callable[..., Any]) -> None:
     """Found with inertia of a body bent wildly they grow at first: what comes out is right, and so is the tangent left behind."""
-    law = {"elastic": plane_stress(1e8, 0.3), "stiffening": "pin", "loads": (pressure("side", 1e3),)}
+    law: dict[str, Any] = {"elastic": plane_stress(1e8, 0.3), "stiffening": "pin", "loads": (pressure("side", 1e3),)}
     rod = fmbd.FloatingBody("rod", rod_mesh(h=0.25), density=DENSITY, **law)
     scene = fmbd.Scene("pressed", gravity=(0.0, -9.81))
     scene.add(rod, fmbd.revolute("pin", fmbd.ground, rod.surface("pin"), center=(0, 0)))

@@ -116,17 +116,19 @@ class FieldForces:
     def load(self, t: float) -> None:
         """Loads at a time (s)."""
         loads, name = self.part.field.loads, self.part.field.name
+        now = {id(load): load.factor(t, name) for load in loads.loads}
         for values in self.loads:
             values[:] = 0.0
         dead, following, internal, carried = self.loads
         for load, b in loads.fixed:
             into = internal if load.internal else following if load.follower else dead
-            into += load.factor(t, name) * b.ravel()
-        carried[:] = loads.carried(t).ravel()
+            into += now[id(load)] * b.ravel()
+            if load.carried:
+                carried += now[id(load)] * b.ravel()
         for load, factor in self.factors:
-            factor[0] = -load.factor(t, name)
+            factor[0] = -now[id(load)]
         for load, factor in self.stressing:
-            factor[0] = load.factor(t, name)
+            factor[0] = now[id(load)]
 
 
 def formed_forces(cache: dict[Any, Any], k: int, part: Any) -> Formed | None:
