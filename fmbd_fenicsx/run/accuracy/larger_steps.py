@@ -40,28 +40,43 @@ def _taken_order(scheme: Any, counters: Mapping[str, float]) -> tuple[float, boo
 
 
 def may_be_larger(problem: Problem, given: Compared, counters: Mapping[str, float]) -> bool:
-    """Whether steps that are two of a run's in one tell its error: its scheme takes them, it is recorded at its own ends, and no
-    step is suddenly smaller than the one before, or was refused but for its error (``counters``): beside such steps none may be
-    as much smaller within the next few, as kinks, which are passed in several, ask for. What these leave is of the order
-    :data:`.MOST_LEFT` at most: beside refused steps nothing above that is taken for granted, and has to be seen, which few steps
-    do not show; of a scheme that changes its order none is seen, and its tolerance has to tell kinks from quick motion. A few of
-    its steps are those of its start, of high orders twice as many.
+    """Whether steps that are two of a run's in one tell its error: its scheme takes them, it is recorded at its own ends, and
+    sizes and refusals (``counters``) are those of smooth motion.
     """
-    order, changes = _taken_order(problem.scheme, counters)
-    refused, high = counters.get("rejections", 0.0), SLOW * order > MOST_LEFT
-    few = given.steps < MANY * (2 if changes and high else 1)
-    unseen = bool(refused) and high
-    passed = unseen and problem.scheme.rtol > NOT_PASSED
-    if refused > counters.get("rejected: error estimate", 0.0) or (few and (unseen or changes)) or (changes and passed):
-        return False
     scene = problem.scene
-    known = problem.said.takes_given and _at_ends(given)
-    if not known or scene.contacts or scene.limits or seen_by_ends(problem.system):
+    if not problem.said.takes_given or not _at_ends(given):
         return False
+    if scene.contacts or scene.limits or seen_by_ends(problem.system):
+        return False
+    return _order_is_known(problem.scheme, given.steps, counters) and _smooth(given, bool(counters.get("rejections")))
+
+
+def _order_is_known(scheme: Any, steps: int, counters: Mapping[str, float]) -> bool:
+    """Whether the order of a run can be told, or taken for granted.
+
+    Kinks, for which steps are refused, leave errors of the order :data:`.MOST_LEFT` at most: a higher one has to be seen beside
+    such steps, which few of them do not show. Of a scheme that changes its order none is seen: there the tolerance has to tell
+    kinks from quick motion, and a few steps are those of its start, of high orders twice as many.
+    """
+    order, changes = _taken_order(scheme, counters)
+    refused = counters.get("rejections", 0.0)
+    if refused > counters.get("rejected: error estimate", 0.0):
+        return False
+
+    high = SLOW * order > MOST_LEFT
+    unseen = bool(refused) and high
+    if changes:
+        return steps >= MANY * (2 if high else 1) and not (unseen and scheme.rtol > NOT_PASSED)
+    return steps >= MANY or not unseen
+
+
+def _smooth(given: Compared, refused: bool) -> bool:
+    """Whether no step is suddenly smaller than the one before; beside refused ones than any of the few before, as kinks, which
+    are passed in several, ask for. The last one ends where it has to.
+    """
     sizes = [np.diff(t) for t in _stretches(given)]
-    soon = range(1, 1 + (SOON if refused else 1))
-    # the last one ends where it has to
-    smooth = all((h[k:-1] > SUDDEN * h[: -1 - k]).all() for h in sizes for k in soon)
+    before = range(1, 1 + (SOON if refused else 1))
+    smooth = all((h[k:-1] > SUDDEN * h[: -1 - k]).all() for h in sizes for k in before)
     return smooth and sum(map(len, sizes)) >= 2 * FEWEST
 
 
@@ -174,6 +189,7 @@ def larger_steps_error(solved: Solved, two: Compared, allowed: Allowed) -> TimeE
     expected = expected_orders(problem.scheme, problem.scene, problem.system)
     apart = between(own, two.recorder, expected)
     quick = {n: 1 for n, x in apart.items() if unresolved(x, Deviation(own.times, own.series[n]))}
+    # a vibration of which two in one leave out all, and high orders little
     missed = refused and SLOW * order > MOST_LEFT and not quick.keys().isdisjoint(sensors)
     strays = bool(astray(given, {n: apart[n] for n in sensors}))
 
@@ -184,9 +200,7 @@ def larger_steps_error(solved: Solved, two: Compared, allowed: Allowed) -> TimeE
     others = two if quick.keys().isdisjoint(sensors) else given  # finer spaces need the vibrations, too
     slow = TimeError(told(REGULAR if changes and not refused else SLOW), dict.fromkeys(expected, float("nan")), others)
     if changes:
-        return (
-            None if strays or missed else slow
-        )  # a vibration of which two in one leave out all, and high orders little
+        return None if strays or missed else slow
     if allowed.share(slow.errors) > DOUBTED * allowed.room:
         return slow
     if strays:
