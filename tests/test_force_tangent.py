@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.mechanics.forces import own_loads
 
 STEPS = 5
 ROOT = Path(__file__).resolve().parents[1]
@@ -109,6 +110,39 @@ def test_tangent_of_a_law_without_symmetry(rod_mesh: Any) -> None:
         1e-3,
     )
     assert run.counters["newton_iterations"] <= 4 * STEPS
+
+
+def test_own_laws_that_write_the_same_are_differentiated_once(monkeypatch: Any) -> None:
+    """Of five, two of other numbers or markers: their tangents are those of each law alone, by three formulas."""
+
+    def pulled(stiffness: float) -> Any:
+        return lambda t, a, b: (stiffness * (a.x - b.x) * (1.0 + 0.1 * np.sin(a.x[0] * b.v[1])), -0.3 * b.w)
+
+    def held(t: float, a: Any) -> Any:
+        return -3.0 * a.x - a.v, 0.0
+
+    made: list[int] = []
+    program = own_loads.Program
+    monkeypatch.setattr(own_loads, "Program", lambda *rows, **how: made.append(1) or program(*rows, **how))
+
+    def slopes(laws: list[Any]) -> list[Any]:
+        scene = fmbd.Scene("five")
+        for k, law in enumerate(laws):
+            body = fmbd.RigidBody(f"b{k}", 1.0, 0.1, position=(1.0 + k, 0.5), velocity=(0.2, 0.3 + k))
+            scene.add(body)
+            if law is not None:
+                scene.add(fmbd.own_force(f"f{k}", *((body, None) if law is held else (fmbd.ground, body)), law=law))
+        system, state, _ = scene.build()
+        loads = next(x for x in system.forces if isinstance(x, own_loads.OwnLoads))
+        found = loads.tangent(system.at(0.0, state.q, state.v).kin, 0.0)
+        return list(zip(found.K, found.D, strict=True))
+
+    laws = [pulled(10.0), pulled(10.0), held, pulled(7.0), pulled(10.0)]
+    together = slopes(laws)
+    assert len(made) == 3
+    for k, found in enumerate(together):
+        (alone,) = slopes([law if i == k else None for i, law in enumerate(laws)])
+        assert all((x == y).all() for x, y in zip(found, alone, strict=True))
 
 
 @pytest.mark.mpi

@@ -49,20 +49,35 @@ class WrenchFormula:
         return table[:, 0], table[:, 1:].reshape(n, 2, -1).swapaxes(0, 1)
 
 
-def wrench_formula(law: Callable[..., Any], sides: int, dim: int) -> WrenchFormula | None:
-    """The formulas of law(t, *markers); None for a law that does not take symbols."""
-    with passing():
-        markers = [_marker(side, dim) for side in range(sides)]
-        try:
-            answer = [as_expression(y) for part in law(TIME, *markers) for y in np.ravel(part)]
-        except Exception:
-            return None
-        if len(answer) != len(markers[0].v) + len(markers[0].w):
-            return None
+Answers = dict[tuple[int | Expression, ...], WrenchFormula]  # by the number of markers, and what a law answers
 
+
+def wrench_formulas(laws: Sequence[tuple[Callable[..., Any], int]], dim: int) -> list[WrenchFormula | None]:
+    """The formulas of laws law(t, *markers), each with how many markers it takes; None for a law that does not take symbols.
+
+    Laws that write the same have one, and are differentiated once.
+    """
+    with passing():
+        markers = [_marker(side, dim) for side in range(max((sides for _, sides in laws), default=0))]
+        known: Answers = {}
+        return [_formula(law, markers[:sides], known) for law, sides in laws]
+
+
+def _formula(law: Callable[..., Any], markers: Sequence[MarkerMotion], known: Answers) -> WrenchFormula | None:
+    """That of one law, which is ``known`` by what others of as many markers have answered."""
+    try:
+        answer = [as_expression(y) for part in law(TIME, *markers) for y in np.ravel(part)]
+    except Exception:
+        return None
+    if len(answer) != len(markers[0].v) + len(markers[0].w):
+        return None
+
+    key: tuple[int | Expression, ...] = (len(markers), *answer)
+    if key not in known:
         rows = [row for y in answer for row in (y, *_along(y, markers))]
         names = [s.arguments[0] for x in markers for name in SEEN for s in np.ravel(getattr(x, name))]
-        return WrenchFormula(Program(rows, numbers=True), names, sides)
+        known[key] = WrenchFormula(Program(rows, numbers=True), names, len(markers))
+    return known[key]
 
 
 def _marker(side: int, dim: int) -> MarkerMotion:
@@ -119,7 +134,7 @@ class OwnLoads(Loads):
         # (m, 1): those without a second marker
         self.single: np.ndarray = np.array([f.b is None for f in forces])[:, None]
         self.alone = int(self.single.sum())
-        self.written: dict[int, WrenchFormula | None] = {}  # of laws that slopes were asked of
+        self.written: dict[int, WrenchFormula | None] = {}  # of laws without a Jacobian, once slopes were asked of one
 
     @staticmethod
     def law_of(f: Any) -> Any:
@@ -234,9 +249,10 @@ class OwnLoads(Loads):
 
     def _by_formula(self, k: int, kin: Kinematics, t: float) -> tuple[Array, Array] | None:
         """Force and torque of a law that is a formula, (n,), and their slopes; None for others, and where it answers else."""
-        if k not in self.written:
-            force = self.forces[k]
-            self.written[k] = wrench_formula(force.law, 1 if force.b is None else 2, self.motions.dim)
+        if not self.written:
+            own = {i: force for i, force in enumerate(self.forces) if force.jacobian is None}
+            laws = [(force.law, 1 if force.b is None else 2) for force in own.values()]
+            self.written = dict(zip(own, wrench_formulas(laws, self.motions.dim), strict=True))
         formula, motions = self.written[k], self._motions(k, kin)
         found = None if formula is None else formula(t, motions)
         if found is None:
