@@ -17,7 +17,9 @@ from fmbd_fenicsx.errors import InputError
 from fmbd_fenicsx.mechanics.bodies.beam_elements import constants_of
 from fmbd_fenicsx.mechanics.placements import FrameMotion
 from fmbd_fenicsx.mechanics.reduction.reduced import ReducedPart
+from fmbd_fenicsx.system import axial_forces
 from fmbd_fenicsx.system.spins import held_mode
+from fmbd_fenicsx.system.tangents.jacobian import CorePattern
 
 L, EI, RHO_A = 1.0, 1.0, 1.0
 # torsion far above bending, but not so far that the roundoff of its eigenvalues, eps GJ / rhoI (pi n / L)^2, is seen in theirs
@@ -250,3 +252,23 @@ def test_beams_made_together_are_those_made_alone() -> None:
             y = surface.modes
             np.testing.assert_allclose(together.surfaces[end].modes, y, rtol=0.0, atol=1e-12 * np.abs(y).max() + 1e-15)
         np.testing.assert_allclose(together.derived.first_frequency, alone.derived.first_frequency, rtol=1e-10)
+
+
+def test_looks_at_what_presses_beams_make_no_rows_of_coordinates(monkeypatch: Any) -> None:
+    """Forces on surfaces follow from the rows on ports alone: of 80 beams those of coordinates cost more than the look."""
+    made: list[Any] = []
+    core = CorePattern.core
+    monkeypatch.setattr(CorePattern, "core", lambda pattern, entries: made.append(1) or core(pattern, entries))
+    looks: list[Any] = []
+    look = axial_forces.surface_forces
+    monkeypatch.setattr(axial_forces, "surface_forces", lambda ev, lam: looks.append(1) or look(ev, lam))
+
+    section = fmbd.Section.rectangle(youngs_modulus=1e8, poisson_ratio=0.3, density=1e3, width=0.1, height=0.05)
+    scene, last = fmbd.Scene("chain", gravity=(0.0, -9.81, 0.0)), fmbd.ground
+    for k in range(80):
+        beam = fmbd.Beam(f"b{k}", (k, 0.0, 0.0), (k + 1.0, 0.0, 0.0), section, elements=2)
+        pin = fmbd.revolute(f"p{k}", last, beam.surface("start"), center=(k, 0.0, 0.0), axis=(0.0, 0.2, 1.0))
+        scene.add(beam, pin)
+        last = beam.surface("end")
+    fmbd.solve(scene, t_end=1e-3, dt=1e-3)
+    assert looks and not made

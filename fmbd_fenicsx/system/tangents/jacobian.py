@@ -82,7 +82,8 @@ class Jacobian:
         s = self.system = ev.system
         self.t, self.bent = ev.t, ev.bent
         pattern, side = self._sides(ev)
-        self.core: Any = pattern.core((side[:, None, :] @ ev.kin.jac_frame[pattern.markers])[:, 0])
+        self._on_frames = pattern, (side[:, None, :] @ ev.kin.jac_frame[pattern.markers])[:, 0]
+        self._tied: list[tuple[Any, int, int]] = []  # blocks on frames of ties
 
         large, shape = s.n_lam * s.n_port > PORT_LIMIT, (s.n_lam, s.n_port)
         self.port: Any = sp.csr_matrix(shape) if large else np.zeros(shape)
@@ -94,7 +95,12 @@ class Jacobian:
         self.port = summed(self.port, self._own_ports(ev))
         for tie, span in s.traces:
             self._add_tie(tie, span, ev)
-        self._fold()
+
+    @cached_property
+    def core(self) -> Any:
+        """The first piece, which is made for those who look at it."""
+        pattern, entries = self._on_frames
+        return self._folded(summed(pattern.core(entries), self._tied))
 
     def _own_ports(self, ev: Evaluation) -> Iterator[tuple[Any, int, int]]:
         """Blocks of laws on ports, and of conditions of frames, which are ports by themselves: with their first row and port."""
@@ -148,10 +154,10 @@ class Jacobian:
                 self.port = summed(self.port, [(block, rows.start, s.port_slice(side.part).start + side.ports.start)])
             else:
                 # a rigid side: columns of its frame
-                self.core = summed(self.core, [(block, rows.start, number * n)])
+                self._tied.append((block, rows.start, number * n))
 
-    def _fold(self) -> None:
-        """Ports of replicated parts into the core."""
+    def _folded(self, core: Any) -> Any:
+        """The core with ports of replicated parts."""
         s = self.system
         parts = [
             (
@@ -162,12 +168,13 @@ class Jacobian:
             for k, p in s.core_parts
             if p.n_port
         ]
-        if isinstance(self.core, np.ndarray):
-            self.core = summed(self.core, ((self.port[:, ports] @ matrix, 0, at) for matrix, ports, at in parts))
-        elif parts:
-            # of many bodies one product, as each row has few ports
-            blocks = ((matrix, ports.start, at) for matrix, ports, at in parts)
-            self.core = self.core + sp.csr_matrix(self.port) @ summed(sp.csr_matrix((s.n_port, s.n_core)), blocks)
+        if isinstance(core, np.ndarray):
+            return summed(core, ((self.port[:, ports] @ matrix, 0, at) for matrix, ports, at in parts))
+        if not parts:
+            return core
+        # of many bodies one product, as each row has few ports
+        blocks = ((matrix, ports.start, at) for matrix, ports, at in parts)
+        return core + sp.csr_matrix(self.port) @ summed(sp.csr_matrix((s.n_port, s.n_core)), blocks)
 
     @cached_property
     def columns(self) -> Any:
