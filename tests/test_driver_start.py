@@ -20,7 +20,9 @@ from fmbd_fenicsx.rotations import Array
 from fmbd_fenicsx.schemes.consistent import accelerations, consistent
 from fmbd_fenicsx.schemes.newton import Newton
 from fmbd_fenicsx.system.compiled.choice import driver_states, use_driver
+from fmbd_fenicsx.system.evaluator import NumPyEvaluator
 from fmbd_fenicsx.system.layout import State
+from fmbd_fenicsx.system.tangents.reaction_tangent import EVERY_PUSH, HARD_PUSH, NO_PUSH
 
 MASSES = Weights(1.0, 0.0, 0.0)
 
@@ -92,6 +94,42 @@ def test_same_solution(make: Any, dim: int) -> None:
     with_driver = StepSolver(system)
     close(wanted, solved(with_driver, driver, elsewhere), 1e-10)
     assert with_driver.driver is not None and with_driver.driver.ready
+
+
+def jointed(dim: int) -> fmbd.Scene:
+    """Rods on a turned hinge, a rope, a slide and a drive; no forces."""
+    scene = driven(dim)
+    first, last = scene.bodies["1"], scene.bodies["2"]
+    hung = fmbd.RigidBody("hung", 1e-3, 2e-6 if dim == 2 else (1e-6, 2e-6, 3e-6), (0.15, -0.2, 0.1)[:dim])
+    slider = fmbd.RigidBody("slider", 0.03, 1e-5 if dim == 2 else (2e-5, 1e-5, 3e-5), (0.3, 0.1, 0.0)[:dim])
+    ends = (0.12, 0.0, 0.0)[:dim], (0.16, -0.15, 0.1)[:dim]
+    scene.add(hung, fmbd.distance("rope", first, hung, point_a=ends[0], point_b=ends[1]))
+    scene.add(slider, fmbd.prismatic("slide", last, slider, axis=(0.6, 0.8, 0.0)[:dim], center=(0.28, 0.05, 0.0)[:dim]))
+    return scene
+
+
+@compiled
+@pytest.mark.parametrize("dim", [2, 3])
+def test_same_matrix_where_reactions_push_across(dim: int) -> None:
+    """All of them, or none, as they push hard or not."""
+    states, numpy, driver = both(jointed(dim))
+    system, rng, weights = states.system, np.random.default_rng(9), Weights(1.0, 1e-3, 1e-6)
+    b, c, lam = rng.standard_normal(system.n_v), rng.standard_normal(system.n_lam), rng.standard_normal(system.n_lam)
+
+    def solved(ev: Any, reactions: int, size: float) -> Array:
+        system.evaluate_by(states if ev is driver else NumPyEvaluator(system))
+        ev.forces, ev.reactions, solver = (np.zeros(system.n_v), size * lam), reactions, StepSolver(system)
+        solver.prepare(ev, weights)
+        assert (solver.driver is not None) == (ev is driver)
+        return np.concatenate(solver.solve(b, c))
+
+    none = solved(numpy, NO_PUSH, 1.0)
+    for reactions, size, pushes in ((EVERY_PUSH, 1.0, True), (HARD_PUSH, 1.0, True), (HARD_PUSH, 1e-3, False)):
+        wanted, found = solved(numpy, reactions, size), solved(driver, reactions, size)
+        assert (wanted != none).any() == pushes
+        close(none, found + none - wanted, 1e-12)
+        if pushes:
+            close(wanted - none, found - none, 1e-6)
 
 
 @compiled

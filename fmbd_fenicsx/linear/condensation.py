@@ -42,18 +42,23 @@ from .residual import Judge
 
 @dataclass(frozen=True, eq=False)
 class MatrixConfiguration:
-    """What the matrices depend on; velocities only where they weigh damping or stiffness. ``versions``: of tangents, columns."""
+    """What the matrices depend on; velocities only where they weigh damping or stiffness. ``reactions``: those in it;
+    ``versions``: of tangents, columns.
+    """
 
     t: float
     q: Array
     v: Any
     weights: Weights
+    reactions: int
     versions: list[tuple[int, int]]
 
     def equals(self, other: MatrixConfiguration) -> bool:
         """Whether the matrices are the same to the last bit."""
-        plain = self.t == other.t and self.weights == other.weights and self.versions == other.versions
-        return plain and all(x is y or np.array_equal(x, y) for x, y in ((self.q, other.q), (self.v, other.v)))
+        plain = [(x.t, x.weights, x.reactions, x.versions) for x in (self, other)]
+        return plain[0] == plain[1] and all(
+            x is y or np.array_equal(x, y) for x, y in ((self.q, other.q), (self.v, other.v))
+        )
 
 
 class StepSolver:
@@ -218,7 +223,7 @@ class StepSolver:
     def _configuration(self, ev: Evaluation, weights: Weights) -> MatrixConfiguration:
         versions = self.elastic.versions(ev.t)
         moving = None if ev.v is None or not (weights.cd or weights.ck) else ev.v.copy()
-        return MatrixConfiguration(ev.t, ev.q.copy(), moving, weights, versions)
+        return MatrixConfiguration(ev.t, ev.q.copy(), moving, weights, ev.reactions, versions)
 
     def _prepared(self, ev: Evaluation) -> Prepared:
         """The matrices of (1), and the factor of the core."""
@@ -254,7 +259,7 @@ class StepSolver:
         """A of (1) with the tangents of force elements, and the border of those on fields."""
         s, w = self.system, self.weights
         A = core_matrix(ev, w)
-        has_tangent = (s.forces or s.elements) and (w.cd or w.ck)
+        has_tangent = (s.forces or s.elements or ev.reactions) and (w.cd or w.ck)
         applied = force_tangent(ev, w.cd, w.ck) if has_tangent else None
         # cheap tangents of rigid bodies are renewed by the schemes
         self._pushed = applied is not None and bool(s.fields)

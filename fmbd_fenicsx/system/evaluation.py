@@ -21,6 +21,7 @@ from ..rotations import Array
 from .lengths import Measured
 from .tangents.foreshortened_ports import bend, port_bias, port_forces, pulls
 from .tangents.jacobian import Jacobian
+from .tangents.reaction_tangent import NO_PUSH
 
 
 class Evaluation:
@@ -30,6 +31,7 @@ class Evaluation:
         self.system, self.t, self.q, self.v = system, t, q, v
         self.forces: tuple[Array, Array] = np.zeros(system.n_v), np.zeros(system.n_lam)  # a and lambda, for tangents
         self.foretold: dict[Any, Array] = {}  # efforts of springs for the tangent, see foretold_efforts
+        self.reactions = NO_PUSH  # which are in the tangent of a step
         self._asked: dict[tuple[Loads, str], Any] = {}
         self._energies: dict[str, float] | None = None
 

@@ -38,6 +38,7 @@ Motion = Callable[[float], tuple[float, float, float]]
 
 
 Sides = Sequence[tuple[np.ndarray, np.ndarray, Array]]
+Curves = Sequence[tuple[tuple[np.ndarray, ...], Array]]
 
 
 def standstill(t: float) -> tuple[float, float, float]:
@@ -119,6 +120,12 @@ class Batch:
         second = self.items.rates(kin)[1]
         return second - self.offsets(t)[2] if self.driven else second
 
+    def curves(self, kin: Kinematics, t: float, lam: Array) -> Curves:
+        """What constant multipliers (m,) push across: symmetric part of d(rows^T lam)/d(displacements of k markers),
+        (m, k n, k n); none of kinds whose rows stand still.
+        """
+        return [((self.a, self.b), self.items.geometric(kin, lam))] if self.items.kind.pattern else []
+
     def sides(self, kin: Kinematics, t: float) -> Sides:
         """The rows by marker: (numbers of the constraints, markers, rows (k, d + n_rot))."""
         ra, rb = self.rows(kin, t)
@@ -196,6 +203,11 @@ class DrivenKinds(Batch):
         """Its rows."""
         self._drive(t)
         return self.items.rows(kin)
+
+    def curves(self, kin: Kinematics, t: float, lam: Array) -> Curves:
+        """Of its rows."""
+        self._drive(t)
+        return super().curves(kin, t, lam)
 
     def rate(self, kin: Kinematics, t: float) -> Array:
         """g_t."""

@@ -18,7 +18,7 @@ from ...errors import ROUNDINGS, CallbackError, FmbdError, floats, named
 from ...rotations import Array
 from ..frames import Kinematics
 from ..kinds.time_derivatives import Rates, SmoothIntervals, TimeFormula, rates
-from .constraints import Batch, Motion, Sides
+from .constraints import Batch, Curves, Motion, Sides
 from .relative import RelativeCoordinates
 
 
@@ -227,6 +227,10 @@ class CouplingBatch(Batch):
     def gamma(self, kin: Kinematics, t: float) -> Array:
         """sum c_k gamma_k - s''(t)."""
         return self._sum([r.gamma(kin) for r, _, _ in self.terms]) - self.offsets(t)[2]
+
+    def curves(self, kin: Kinematics, t: float, lam: Array) -> Curves:
+        """Those of every joint coordinate for multipliers times its factor c_k."""
+        return [(relative.markers, relative.geometric(kin, c * lam[rows])) for relative, rows, c in self.terms]
 
     def sides(self, kin: Kinematics, t: float) -> Sides:
         """Rows of every joint coordinate times its factor c_k."""

@@ -14,10 +14,13 @@ the place x of a frame gives it the moment m = x x R^T F + R^T M in body axes, w
 where F and M stay as they are:
 
     dm = (x~ (R^T F)~ + (R^T M)~) theta                                                                              (2)
+
+Reactions that push hard (:mod:`.reaction_tangent`) add theirs, and the symmetric part of (2).
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -26,6 +29,7 @@ import scipy.sparse as sp
 
 from ...mechanics.forces.force_elements import ScalarLoads
 from ...rotations import Array, hat
+from .reaction_tangent import reaction_wrenches, reactions_push
 
 if TYPE_CHECKING:
     from ..evaluation import Evaluation
@@ -53,19 +57,14 @@ def force_tangent(ev: Evaluation, cd: float, ck: float) -> ForceTangent | None:
     s = ev.system
     entries = _Entries(ev)
     left, right = [], []
-    for loads in s.forces if ev.v is not None else ():
-        tangent = loads.tangent(ev.kin, ev.t)
-        if tangent is None:
-            continue
-        T = ck * tangent.K + cd * tangent.D
-        if isinstance(loads, ScalarLoads) and loads in ev.foretold:
-            T = T + ck * loads.relative.geometric(ev.kin, ev.foretold[loads] - loads.scalar(ev.kin, ev.t)[2])
-        on_surface = np.any([entries.seen.touches(m) for m in tangent.markers], axis=0)
-        entries.add_frames(T, tangent.markers, ~on_surface)
+    pushing = reactions_push(ev, ck)
+    for markers, T in _between_markers(ev, cd, ck, pushing):
+        on_surface = np.any([entries.seen.touches(m) for m in markers], axis=0)
+        entries.add_frames(T, markers, ~on_surface)
 
         for i in np.flatnonzero(on_surface):
             # all markers of an element on a surface, by core and ports
-            J = np.concatenate([entries.seen.rows(m[i]) for m in tangent.markers])
+            J = np.concatenate([entries.seen.rows(m[i]) for m in markers])
             if not J[:, s.n_core :].any():
                 entries.add_block(J[:, : s.n_core].T @ T[i] @ J[:, : s.n_core])
                 continue
@@ -77,12 +76,31 @@ def force_tangent(ev: Evaluation, cd: float, ck: float) -> ForceTangent | None:
             right.append(J.T @ (Vt[keep].T * root))
 
     core = entries.matrix()
-    if s.elements:
-        core = with_elements(ev, core, cd, ck)
+    blocks = list(_on_frames(ev, cd, ck, pushing))
+    if blocks:
+        core = _with_blocks(ev, core, blocks)
     if core is None and not left:
         return None
     none = np.zeros((s.n_core + s.n_port, 0))
     return ForceTangent(core, np.concatenate([none, *left], axis=1), np.concatenate([none, *right], axis=1))
+
+
+def _between_markers(
+    ev: Evaluation, cd: float, ck: float, pushing: bool
+) -> Iterator[tuple[tuple[np.ndarray, ...], Array]]:
+    """T of forces, and of reactions where these are ``pushing``, with the markers."""
+    s = ev.system
+    for loads in s.forces if ev.v is not None else ():
+        tangent = loads.tangent(ev.kin, ev.t)
+        if tangent is None:
+            continue
+        T = ck * tangent.K + cd * tangent.D
+        if isinstance(loads, ScalarLoads) and loads in ev.foretold:
+            T = T + ck * loads.relative.geometric(ev.kin, ev.foretold[loads] - loads.scalar(ev.kin, ev.t)[2])
+        yield tangent.markers, T
+    for batch, rows in s.batches if pushing else ():
+        for markers, curve in batch.curves(ev.kin, ev.t, ev.forces[1][rows]):
+            yield markers, ck * curve
 
 
 class SurfaceMarkers:
@@ -176,23 +194,23 @@ class _Entries:
         return matrix.toarray() if dense else matrix
 
 
-def with_elements(ev: Evaluation, applied: Any, cd: float, ck: float) -> Any:
-    """The tangent ``applied`` of forces (None without) and that of the elements, dense or sparse as G."""
-    elastic = element_tangent(ev, cd, ck)
-    if isinstance(ev.jacobian.core, np.ndarray):
-        elastic = elastic.toarray()
-    return elastic if applied is None else elastic + applied
+def _on_frames(ev: Evaluation, cd: float, ck: float, pushing: bool) -> Iterator[tuple[np.ndarray, Array]]:
+    """Frames (m, k) and blocks (m, k n_twist, k n_twist) of all elements between frames, and (2) where it counts."""
+    s = ev.system
+    twist = None if ev.v is None else ev.twist
+    for elements in s.elements:
+        yield from elements.tangents(ev.t, ev.pose, twist, (cd, ck))
+    if s.elements and s.forces and twist is not None:
+        yield _turning_wrenches(ev, ev.wrenches(), -ck)
+    if pushing:
+        frames, block = _turning_wrenches(ev, reaction_wrenches(ev), ck)
+        yield frames, 0.5 * (block + block.swapaxes(1, 2))
 
 
-def element_tangent(ev: Evaluation, cd: float, ck: float) -> Any:
-    """cd D + ck K of all elements, and (2) of the applied forces, sparse (n_core, n_core); rows of core parts stay empty."""
+def _with_blocks(ev: Evaluation, applied: Any, blocks: list[tuple[np.ndarray, Array]]) -> Any:
+    """A tangent (None: 0) and blocks on frames, dense or sparse as G; rows of core parts stay as they are."""
     s = ev.system
     n = s.motions.n_twist
-    twist = None if ev.v is None else ev.twist
-    blocks = [pair for elements in s.elements for pair in elements.tangents(ev.t, ev.pose, twist, (cd, ck))]
-    if s.forces and twist is not None:
-        blocks.append(_turning_wrenches(ev, ck))
-
     data, rows, columns = [], [], []
     for frames, block in blocks:
         at = (frames[:, :, None] * n + np.arange(n)).reshape(len(frames), frames.shape[1] * n)
@@ -200,19 +218,25 @@ def element_tangent(ev: Evaluation, cd: float, ck: float) -> Any:
         rows.append(np.broadcast_to(at[:, :, None], block.shape).ravel())
         columns.append(np.broadcast_to(at[:, None, :], block.shape).ravel())
     entries = (np.concatenate(data), (np.concatenate(rows), np.concatenate(columns)))
-    return sp.csr_matrix(entries, shape=(s.n_core, s.n_core))
+    matrix = sp.csr_matrix(entries, shape=(s.n_core, s.n_core))
+    if isinstance(ev.jacobian.core, np.ndarray):
+        matrix = matrix.toarray()
+    return matrix if applied is None else matrix + applied
 
 
-def _turning_wrenches(ev: Evaluation, ck: float) -> tuple[np.ndarray, Array]:
-    """Frames (m, 1) and blocks (m, n_twist, n_twist) of (2), as they stand in the tangent of the balance."""
-    m = ev.system.markers
-    wrench = ev.wrenches()
+def _turning_wrenches(ev: Evaluation, wrench: Array, weight: float) -> tuple[np.ndarray, Array]:
+    """Frames (m, 1) and blocks (m, n_twist, n_twist) of (2) for wrenches on all markers, times a weight."""
+    m, d, n = ev.system.markers, ev.system.motions.dim, ev.system.motions.n_twist
     used = (m.frame < ev.system.n_frames) & np.any(wrench != 0.0, axis=1)
     used[m.surface] = False  # elastic surfaces have ports of their own
 
-    frames = m.frame[used]
+    frames, arm = m.frame[used], m.position[used]
     back = np.swapaxes(ev.rotation[frames], 1, 2)
-    force, moment = ((back @ wrench[used, part, None])[..., 0] for part in (slice(0, 3), slice(3, 6)))
-    block = np.zeros((len(frames), 6, 6))
-    block[:, 3:, 3:] = -ck * (hat(m.position[used]) @ hat(force) + hat(moment))
+    force = (back @ wrench[used, :d, None])[..., 0]
+    block = np.zeros((len(frames), n, n))
+    if d == 2:
+        block[:, 2, 2] = -weight * (arm * force).sum(axis=1)
+    else:
+        moment = (back @ wrench[used, 3:, None])[..., 0]
+        block[:, 3:, 3:] = weight * (hat(arm) @ hat(force) + hat(moment))
     return frames[:, None], block

@@ -20,6 +20,7 @@ from ....system.layout import State
 from ....system.lengths import farthest
 from ....system.speed_rows import gaps, speed_rows
 from ....system.tangents.foretold_efforts import foretold_efforts
+from ....system.tangents.reaction_tangent import EVERY_PUSH, HARD_PUSH, NO_PUSH
 from ...exact_tangent import Pair, exact_increment
 from ...newton import ExactTangent, Newton, above_roundoff, known_gaps
 from .secants import Secants
@@ -185,16 +186,19 @@ class AlphaStep:
         return size / self.tolerance
 
     def _prepare(self, ev: Evaluation) -> None:
-        """The matrix, anew where that is worth it; without what springs push across where that makes it indefinite."""
+        """The matrix, anew where that is worth it; without what is pushed across where that makes it indefinite.
+
+        Of reactions that counts where they push hard, or where the iteration is slow without it: as predicted it may be far off.
+        """
         keep = not self._wants_tangent()
+        slow = self.done > 1 and self.newton.theta > SLOW_TURN
+        ev.reactions = EVERY_PUSH if slow or self._impatient else HARD_PUSH
         if not keep and not self.far:
             self.secants.forget()
         try:
             self.solver.prepare(ev, self.weights, keep=keep)
         except LinearSolveError:
-            if self.foretold or not self.springs.linear:
-                raise
-            ev.foretold = self.springs.none
+            ev.foretold, ev.reactions = self.foretold or self.springs.none, NO_PUSH
             self.solver.prepare(ev, self.weights)
 
     def _evaluation(self, end: StepEnd) -> Evaluation:
@@ -216,9 +220,11 @@ class AlphaStep:
         slow = self.newton.theta > SLOW_TURN and not self.secants.poor
         cheap = self.done == 1 and bool(self.system.fields)  # beside a solution with the factor of a field
         turned = self.stiff and self.done > 0 and (cheap or slow or self.misfit > SLOW_TURN)
-        impatient = self.done > self.patience and not self.system.fields and not self.secants.poor
+        return self.far or self.tangent is not None or turned or self._impatient
 
-        return self.far or self.tangent is not None or turned or impatient
+    @property
+    def _impatient(self) -> bool:
+        return self.done > self.patience and not self.system.fields and not self.secants.poor
 
     def _solved(self, ev: Evaluation, r: Array, g: Array) -> Increment:
         """The increment for the residuals of (4)."""

@@ -21,10 +21,10 @@
 #include "evaluation/record.c"
 #include "evaluation/answers.c"
 
-/* Factors for Python at a state that has been evaluated, without what reactions push across. */
-EXPORT int driver_prepare(System *s, const double *q, double cd, double ck, const double *lam, double t)
+/* Factors for Python at a state that has been evaluated. */
+EXPORT int driver_prepare(System *s, const double *q, double cd, double ck, const double *lam, int reactions, double t)
 {
-    return prepare(s, q, cd, ck, lam, 0, t);
+    return prepare(s, q, cd, ck, lam, reactions, t);
 }
 
 EXPORT int driver_prepare_complex(System *s, const double *q, const double *cd, const double *ck, const double *lam, double t)

@@ -11,6 +11,7 @@ from ....rotations import Array
 from ...evaluation import Evaluation
 from ...evaluation_batch import EvaluationBatch, Jacobians
 from ...tangents.jacobian import Jacobian, dense_core
+from ...tangents.reaction_tangent import NO_PUSH
 
 if TYPE_CHECKING:
     from .evaluation import DriverStates
@@ -61,6 +62,7 @@ class DriverEvaluation(_Constraints, Evaluation):
         other = DriverEvaluation.__new__(DriverEvaluation)
         other.__dict__.update(self.__dict__)
         other.forces, other.balanced = (np.zeros(self.system.n_v), np.zeros(self.system.n_lam)), None
+        other.reactions = NO_PUSH
         return other
 
     @cached_property

@@ -15,6 +15,7 @@ import numpy as np
 from ....kernel_cache import address_of
 from ....rotations import Array
 from ...dependence import CERTAIN, inverse_bound
+from ...tangents.reaction_tangent import NO_PUSH
 from .exchange import Exchange
 
 if TYPE_CHECKING:
@@ -25,12 +26,12 @@ if TYPE_CHECKING:
 class DriverFactor:
     """The factor of (1) in the tables of some ``states``.
 
-    ``held``: its t, q, v and weights (cd, ck), None where they are unknown. ``count``: how many factors were made.
+    ``held``: its t, q, v, and (cd, ck, reactions in it), None where they are unknown. ``count``: how many factors were made.
     """
 
     def __init__(self, states: DriverStates) -> None:
         self.states, self.count = states, 0
-        self.held: tuple[float, Array, Array, tuple[Any, Any]] | None = None
+        self.held: tuple[float, Array, Array, tuple[Any, Any, int]] | None = None
 
     def renew(self) -> None:
         """Room for new tables, of which no factor is known."""
@@ -66,26 +67,26 @@ class DriverFactor:
             ck_at = at + 2 * weights.itemsize
             verdict = states.library.driver_prepare_complex(states.address, q, at, ck_at, below, ev.t)
         else:
-            verdict = states.library.driver_prepare(states.address, q, cd, ck, below, ev.t)
+            verdict = states.library.driver_prepare(states.address, q, cd, ck, below, ev.reactions, ev.t)
 
         states.calls.raise_error()
         if verdict:
             return False
-        self.held, self.count = (ev.t, ev.q, ev.alone[2][0], (cd, ck)), self.count + 1
+        self.held, self.count = (ev.t, ev.q, ev.alone[2][0], (cd, ck, ev.reactions)), self.count + 1
         return True
 
     def holds(self, ev: DriverEvaluation, cd: Any, ck: Any) -> bool:
         """Whether the factor is that of a state; velocities count where weights are those of stiffness or damping."""
-        if not self._holds_in(ev.t, ev.q, (cd, ck)):
+        if not self._holds_in(ev.t, ev.q, (cd, ck, ev.reactions)):
             return False
         assert self.held is not None
         return not (cd or ck) or bool((self.held[2] == ev.alone[2][0]).all())
 
     def holds_masses(self, t: float, q: Array) -> bool:
         """Whether the factor is that of the masses in a configuration."""
-        return self._holds_in(t, q, (0.0, 0.0))
+        return self._holds_in(t, q, (0.0, 0.0, NO_PUSH))
 
-    def _holds_in(self, t: float, q: Array, weights: tuple[Any, Any]) -> bool:
+    def _holds_in(self, t: float, q: Array, weights: tuple[Any, Any, int]) -> bool:
         """Whether the factor is that of a configuration; steps that took the tables write over it."""
         if self.states.taken or self.held is None:
             return False
@@ -93,7 +94,7 @@ class DriverFactor:
 
     def hold(self, t: float | None, q: Array | None = None, v: Array | None = None, *, new: bool = True) -> None:
         """Take note that the factor is that of the masses in a state, or, without one, of nothing that is known."""
-        self.held = None if t is None or q is None or v is None else (t, q.copy(), v.copy(), (0.0, 0.0))
+        self.held = None if t is None or q is None or v is None else (t, q.copy(), v.copy(), (0.0, 0.0, NO_PUSH))
         self.count += self.held is not None and new
 
     def solve(self, b: Array, c: Array) -> tuple[Array, Array]:
