@@ -43,7 +43,6 @@ from ..consistent import arrived
 from ..control import DEARLY, ESTIMATE, StepControl, moves, turn_limit, turns_too_far
 from ..dae import GGL, Form, OfForm, Points
 from ..error_norm import check_controlled
-from ..implicit.equations import Start
 from ..implicit.implicit_stepper import ImplicitStepper
 from ..newton import Newton
 from .collocation import Tableau, controlled, tableau
@@ -255,7 +254,7 @@ class RadauStepper(ImplicitStepper):
         s, tab = self.state, self.tab
 
         # what the start of the step leaves of the constraints is no error of the step
-        start = dq, v, a = self.eq.consistent_start(s)
+        dq, v, a = self.eq.consistent_start(s)
         moved, change = points.xi - dq, points.v - v
         if self.scheme.form.index == 3:  # its velocities follow all increments of the stages
             change = change - np.outer(tab.W.sum(axis=1) / h, dq)
@@ -263,7 +262,7 @@ class RadauStepper(ImplicitStepper):
         push = a + tab.error @ change / h
 
         error = max(self._filtered_size(h, -kin, push), self._memory_error(h))
-        left = self._left_between(h, points, start) if self.eq.looks_between else None
+        left = self._left_between(h, (dq, moved), (v, change), points.mult) if self.eq.looks_between else None
         return error if left is None else max(error, self._filtered_size(h, *left))
 
     def _filtered_size(self, h: float, kin: Array, push: Array) -> float:
@@ -279,26 +278,25 @@ class RadauStepper(ImplicitStepper):
         pushed = push - self.tab.gamma / h * e_v if self.eq.levels and self.eq.dense else None
         return self._error_size(h, pencil, e_q, e_v, pushed)
 
-    def _left_between(self, h: float, points: Points, start: Start) -> tuple[Array, Array] | None:
-        """What the motion through the stages leaves of the equations between two of them, None where these have no solution: a
-        force that bends within a step may leave nothing of one such sum by luck, hardly of two.
+    def _left_between(
+        self, h: float, places: tuple[Array, Array], speeds: tuple[Array, Array], mult: Array
+    ) -> tuple[Array, Array] | None:
+        """What the motion through the stages, whose ``places`` and ``speeds`` are those of the start and changes behind it, leaves
+        of the equations between two stages, None where these have no solution: a force that bends within a step may leave nothing
+        of one such sum by luck, hardly of two.
         """
         system, eq, origin = self.system, self.eq, self.state
-        dq, v, _ = start
-        (at, alike), (places, rates, levels) = self.tab.between[:2], self.tab.between[2:].reshape(3, -1)
-        moved, change = points.xi - dq, points.v - v
-        xi = dq + places @ moved
-        there = State(
-            origin.t + at * h, system.compose(origin.q, xi), v + places @ change, rates @ change / h, origin.lam
-        )
+        (dq, moved), (v, change) = places, speeds
+        (at, alike), (values, rates, levels) = self.tab.between[:2], self.tab.between[2:].reshape(3, -1)
+        xi, faster = dq + values @ moved, rates @ change / h
+        there = State(origin.t + at * h, system.compose(origin.q, xi), v + values @ change, faster, origin.lam)
         try:
             there = arrived(system, there, self.solver, places=False)
         except (CallbackError, ConvergenceError, LinearSolveError, np.linalg.LinAlgError):
             return None
-        fast = there.v - eq.corrections((levels @ points.mult)[None], 1)[0]
-        return alike * (rates @ moved / h - system.rate(xi[None], fast[None])[0]), alike * (
-            there.a - rates @ change / h
-        )
+        fast = there.v - eq.corrections((levels @ mult)[None], 1)[0]
+        missed = rates @ moved / h - system.rate(xi[None], fast[None])[0]
+        return alike * missed, alike * (there.a - faster)
 
     def _memory_error(self, h: float) -> float:
         """The same of the memories of elements."""

@@ -267,6 +267,15 @@ static int error_of_memories(System *s, const Implicit *o, double h, double *err
     return remembered_error(s, g, &c->rtol, points, &begun, 1, 1.0, *g->s, error);
 }
 
+/* What velocities of a stage have of dq: those of index 3 follow all increments of the stages. */
+static double slope_of_start(const Implicit *o, int stage)
+{
+    const Stages *g = o->stages;
+    double slope = 0.0;
+    for (int i = 0; o->own->index == 3 && i < g->points; i++) slope += g->couple[stage * g->points + i];
+    return slope;
+}
+
 /* What the motion through the stages leaves of the equations between two of them, from a start at dq and v at time t, in kin and push as
    filtered() takes them. ``room``: 4 n, a size of a point, nq and that of driver_arrive(). */
 static int left_between(System *s, const Implicit *o, double h, double t, const double *dq, const double *v, double *kin, double *push,
@@ -285,8 +294,9 @@ static int left_between(System *s, const Implicit *o, double h, double t, const 
     memcpy(fast, v, n * sizeof(double));
 
     for (int j = 0; j < k; j++) {
+        const double slope = slope_of_start(o, j);
         for (int i = 0; i < n; i++) {
-            const double moved = g->xi[j * n + i] - dq[i], faster = g->v[j * n + i] - v[i];
+            const double moved = g->xi[j * n + i] - dq[i], faster = g->v[j * n + i] - v[i] - slope * dq[i];
             xi[i] += places[j] * moved;
             fast[i] += places[j] * faster;
             kin[i] += at[1] * rates[j] / h * moved;
@@ -318,8 +328,7 @@ static int own_error(System *s, Implicit *o, double h, const Block *now, const d
     memcpy(kin, v, n * sizeof(double));
     memcpy(push, a, n * sizeof(double));
     for (int j = 0; j < k; j++) {
-        double share = c->error[j] / h, slope = 0.0;
-        for (int i = 0; c->index == 3 && i < k; i++) slope += g->couple[j * k + i];
+        const double share = c->error[j] / h, slope = slope_of_start(o, j);
         for (int i = 0; i < n; i++) {
             kin[i] += share * (g->xi[j * n + i] - dq[i]);
             push[i] += share * (g->v[j * n + i] - v[i] - slope * dq[i]);
