@@ -64,15 +64,15 @@ def _defects(system: System, ev: Evaluation, state: State, kept: list[int], ahea
     s, (a, lam) = ahead[:, None], (state.a, state.lam)
     q, v = system.compose(state.q, s * state.v + 0.5 * s * s * a), state.v + s * a
 
-    def volumes(q: Array, v: Array) -> list[Array]:
-        return [_second_rate(system, State(state.t, q, v, a, lam), k) for k in kept]
-
     # all that lie ahead in one call
     every = system.batch(state.t + ahead, q, v)
-    pushes, multipliers = (np.array([x] * len(ahead)) for x in (a, lam))
-    forces, constraints = every.balance(pushes, multipliers), every.jacobian.times(pushes) + every.gamma()
-    begin = ev.balance(a, lam), ev.jacobian.times(a) + ev.gamma(), volumes(state.q, state.v)
-    return [begin, *((forces[i], constraints[i], volumes(q[i], v[i])) for i in range(len(ahead)))]
+    pushes, multipliers = [np.array([x] * len(ahead)) for x in (a, lam)]
+    forces = [ev.balance(a, lam), *every.balance(pushes, multipliers)]
+    constraints = [ev.jacobian.times(a) + ev.gamma(), *(every.jacobian.times(pushes) + every.gamma())]
+
+    places = [(state.q, state.v), *zip(q, v, strict=True)]
+    volumes = [[_second_rate(system, State(state.t, *place, a, lam), k) for k in kept] for place in places]
+    return list(zip(forces, constraints, volumes, strict=True))
 
 
 def _second_rate(system: System, state: State, k: int) -> Array:
