@@ -38,7 +38,7 @@ EXACT = ExactTangent(rtol=1e-6, max_iterations=60)
 
 WHOLE, DAMPED = 12, 40  # increments at most, without and with a line search
 TINY = 1e-6  # increments, over the model's length, that ought to become smaller
-ROUGH = 1e-3  # of what an iteration has moved, roundoff with which it may end
+ROUGH = 1e-4  # of what an iteration has moved, roundoff with which it may end
 LONG = 0.5  # increment that is not taken whole, over the model's length
 FALLEN = 1e-2  # of the first one, increments with inertia beside the tangent that have found an equilibrium
 GOLDEN = 0.6180339887498949
