@@ -206,7 +206,7 @@ def test_surfaces_that_meet_cost_few_calls() -> None:
     scene = leaned(2, "AbsoluteBody", push=0.0)
 
     def calls(steps: int) -> int:
-        output = fmbd.Output(every=steps)
+        output = fmbd.Output(every=steps, progress=False)
         run = lambda: fmbd.solve(scene, t_end=1e-3 * steps, dt=1e-3, scheme=SCHEMES[0], output=output)  # noqa: E731
         return calls_of(run, "fmbd_fenicsx")
 
@@ -272,7 +272,7 @@ def test_flights_cost_no_calls(scheme: Any) -> None:
     scene = falling("FloatingBody", all_sorts=False)
 
     def calls(steps: int) -> int:
-        output = fmbd.Output(every=steps)
+        output = fmbd.Output(every=steps, progress=False)
         run = lambda: fmbd.solve(scene, t_end=1e-4 * steps, dt=1e-4, scheme=scheme, output=output)  # noqa: E731
         return calls_of(run, "fmbd_fenicsx")
 

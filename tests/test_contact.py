@@ -87,7 +87,7 @@ def test_steps_in_contact_ask_python_for_little(scheme: Any, friction: float, mo
     scene.add(bar, wall)
 
     def calls(steps: int) -> int:
-        output = fmbd.Output(every=steps)
+        output = fmbd.Output(every=steps, progress=False)
         return calls_of(lambda: fmbd.solve(scene, t_end=0.05 * steps, dt=0.05, scheme=scheme, output=output))
 
     calls(20)

@@ -17,6 +17,7 @@ from test_driver import bushings, joint_springs, links
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.mechanics.forces.own_loads import OwnLoads
 from fmbd_fenicsx.rotations import Array
+from fmbd_fenicsx.schemes.stepping import UNOBSERVED
 from fmbd_fenicsx.system.compiled.choice import driver_states
 from fmbd_fenicsx.system.compiled.library import driver_library
 
@@ -137,17 +138,16 @@ def test_a_run_that_is_taken_up_goes_on_with_the_same_slopes(dim: int, tmp_path:
 def test_steps_without_laws_ask_python_nothing_and_allocate_nothing(make: Any) -> None:
     scene = make(4, 2) if make is links else make(2)
     c, stepper = marched(scene)
-    driver = stepper.driver
-    driver.march(1)
+    march(stepper, 1)
     c.evaluations = c.factors = c.calls = 0
 
     tracemalloc.start()
     try:
-        driver.march(10)
+        march(stepper, 10)
         tracemalloc.reset_peak()
         before, _ = tracemalloc.get_traced_memory()
-        few = _peak(driver, 10)
-        many = _peak(driver, 10 * STEPS)
+        few = _peak(stepper, 10)
+        many = _peak(stepper, 10 * STEPS)
         after, _ = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
@@ -160,11 +160,16 @@ def test_steps_without_laws_ask_python_nothing_and_allocate_nothing(make: Any) -
     assert c.evaluations <= 2.5 * steps
 
 
-def _peak(driver: Any, steps: int) -> int:
+def march(stepper: Any, steps: int) -> None:
+    """So many steps in one call."""
+    assert stepper.driver.march(1e-3, steps, stepper.newton, UNOBSERVED, None) == (steps, 0)
+
+
+def _peak(stepper: Any, steps: int) -> int:
     """Bytes that a call of so many steps has at most."""
     tracemalloc.reset_peak()
     before, _ = tracemalloc.get_traced_memory()
-    assert driver.march(steps) == (steps, 0)
+    march(stepper, steps)
     return tracemalloc.get_traced_memory()[1] - before
 
 

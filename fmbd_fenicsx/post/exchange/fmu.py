@@ -143,6 +143,7 @@ def write_fmu(script: str | Path, folder: str | Path, *, dt: float, name: str | 
     except ImportError:
         raise InputError("write_fmu needs pythonfmu3: ./with-dolfinx pip install pythonfmu3.") from None
 
+    require(isinstance(script, str | Path), f"write_fmu: script must be the path of a file, got {script!r}.")
     script = Path(script)
     require(script.is_file(), f"write_fmu: there is no script {script} (looked in {Path.cwd()}).")
     name = script.stem.capitalize() if name is None else name

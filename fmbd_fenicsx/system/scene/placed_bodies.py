@@ -113,7 +113,8 @@ class PlacedBodies:
     def add_parts(self, moving: list[Any]) -> None:
         """The parts of all bodies with local coordinates: those in the core first, then those distributed over ranks."""
         self.used, ground = surfaces_in_use(self.scene), self.ground_frame
-        for kind in dict.fromkeys(map(type, moving)):
+        kinds: dict[Any, None] = dict.fromkeys(map(type, moving))
+        for kind in kinds:
             kind.prepare([body for body in moving if type(body) is kind])
         for body in sorted(moving, key=lambda b: b.stage):
             frame = self.frame_of[body.name] if body.framed else ground
