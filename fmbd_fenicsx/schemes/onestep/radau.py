@@ -281,9 +281,10 @@ class RadauStepper(ImplicitStepper):
     def _left_between(
         self, h: float, places: tuple[Array, Array], speeds: tuple[Array, Array], mult: Array
     ) -> tuple[Array, Array] | None:
-        """What the motion through the stages, whose ``places`` and ``speeds`` are those of the start and changes behind it, leaves
-        of the equations between two stages, None where these have no solution: a force that bends within a step may leave nothing
-        of one such sum by luck, hardly of two.
+        """What the motion through the stages leaves of the equations between two of them, None where these have no solution:
+        a force that bends within a step may leave nothing of one such sum by luck, hardly of two.
+
+        ``places``, ``speeds``: those of the start, and changes from there to the stages.
         """
         system, eq, origin = self.system, self.eq, self.state
         (dq, moved), (v, change) = places, speeds
