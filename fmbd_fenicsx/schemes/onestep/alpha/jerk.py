@@ -70,8 +70,8 @@ def _defects(system: System, ev: Evaluation, state: State, kept: list[int], ahea
     forces = [ev.balance(a, lam), *every.balance(pushes, multipliers)]
     constraints = [ev.jacobian.times(a) + ev.gamma(), *(every.jacobian.times(pushes) + every.gamma())]
 
-    places = [(state.q, state.v), *zip(q, v, strict=True)]
-    volumes = [[_second_rate(system, State(state.t, *place, a, lam), k) for k in kept] for place in places]
+    places = [(state.q, state.v), *[(q[i], v[i]) for i in range(len(ahead))]]
+    volumes = [[_second_rate(system, State(state.t, there, fast, a, lam), k) for k in kept] for there, fast in places]
     return list(zip(forces, constraints, volumes, strict=True))
 
 
