@@ -9,12 +9,7 @@ from ..rotations import Array
 from ..system.dependence import CERTAIN, NEAR_SINGULAR, rows_are_independent, rows_differ
 from ..system.evaluation import Evaluation
 from ..system.lengths import Measured
-from ..system.mobility import (
-    ALIKE,
-    mobility,
-    nearly_dependent,
-    nearly_the_same,
-)
+from ..system.mobility import ALIKE, mobility, nearly_dependent, nearly_the_same
 
 CLOSE = 1e-3  # sigma_min / sigma_max of a position close to a singular one
 CORRECTIONS = 2  # of a solution where dependent rows are the same, see algebra/factor.c

@@ -6,18 +6,25 @@ A step that fails in another way than by its error is made by Python from the sa
 from __future__ import annotations
 
 import ctypes
-from typing import ClassVar
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, ClassVar
 
 import numpy as np
 
 from ..errors import ConvergenceError
+from ..linear.condensation import StepSolver
 from ..rotations import Array
 from ..system.compiled.march import CHOSEN
 from ..system.compiled.own_steps import OwnRoom
 from ..system.element_memory import next_sample
+from ..system.layout import State
+from ..system.system import System
+from .consistent import arrived
 from .control import ESTIMATE, LEAST_ERROR, PATIENCE, REFUSED, TURN, Statistics, StepControl, lands
 from .error_norm import ErrorNorm
 from .marching import MarchingStepper
+from .newton import Newton
 from .stepping import Observers
 
 
@@ -27,14 +34,35 @@ class OwnMarch(MarchingStepper):
     passes_marks = True
     # why compiled code makes a step smaller, beside its error (FAILING of own_steps.c)
     failures: ClassVar[tuple[str, ...]] = ("Newton diverged", "Newton too slow", "turns too far")
-    adaptive: bool
-    norm: ErrorNorm
-    stats: Statistics
     control: StepControl
     proposed: float | None
     longest_stable: float = np.inf  # s, the most that its steps may be to be stable
     _ahead: float  # s that the steps of a call may take
     _alone_now = False  # whether a step is made by itself, which may end where a controller samples
+
+    def __init__(
+        self, scheme: Any, system: System, solver: StepSolver, newton: Newton, state: State, *, index: int
+    ) -> None:
+        """``index``: as of :class:`.ErrorNorm`."""
+        self.scheme, self.system, self.solver, self.newton, self.state = scheme, system, solver, newton, state
+        self.norm = ErrorNorm(state, system, scheme.rtol or newton.tolerance, scheme.atol, index)
+        self.stats, self.proposed = Statistics(), None
+        self.adaptive = scheme.rtol is not None
+
+    def _begin_from(self, state: State) -> None:
+        """A consistent state, without a past."""
+        self.state, self.proposed = state, None
+
+    def restart(self, t: float) -> None:
+        """Forget the past: the solution has a kink at t. What drives have changed in velocities is an impact; accelerations and
+        multipliers behind the kink are solved for.
+        """
+        self._begin_from(arrived(self.system, replace(self.state, t=t), self.solver, places=False))
+
+    def begin_anew(self, start: Callable[[], State]) -> bool:
+        """As :meth:`TimeStepper.begin_anew`."""
+        self._begin_from(start())
+        return True
 
     def _take_kept(self, own: Array) -> None:
         """What a state of a march keeps."""

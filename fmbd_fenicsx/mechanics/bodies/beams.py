@@ -25,10 +25,9 @@ import numpy as np
 from ...checks import check_fields, number, typed, vector, whole
 from ...errors import InputError, near, require
 from ...rotations import Array, motions
-from ..body import MODES, Body, Placed, Site, rigid_twist
+from ..body import rigid_twist
 from ..cross_sections import Shape, rectangle, ring, shear_modulus
-from ..reduction.derived import derive
-from ..reduction.reduced import ReducedConstants, placed_modes
+from ..reduction.reduced import ModalBody, ReducedConstants
 from .beam_elements import BeamElements, constants_of
 from .bodies import Surface
 
@@ -90,7 +89,7 @@ class Section:
 
 
 @dataclass(frozen=True, eq=False)
-class Beam(Body):
+class Beam(ModalBody):
     """A straight elastic beam from ``start`` to ``end`` (world, m; two components in the plane, three in space).
 
     Args:
@@ -120,7 +119,6 @@ class Beam(Body):
     stiffness_damping: float = 0.0
 
     interpolated = True
-    stage = MODES
 
     @property
     def space_rate(self) -> float:
@@ -178,18 +176,9 @@ class Beam(Body):
             raise InputError(f'Beam "{self.name}": no surface "{name}". {near(name, ["start", "end"])}')
         return Surface(self, name)
 
-    def placed(self, site: Site) -> Placed:
-        """Its modes as a part on its frame."""
-        return placed_modes(self, site)
-
     def start_twist(self) -> Array:
         """Rigid velocity at the start, (n_twist,)."""
         return rigid_twist(self.name, motions(self.dim), self.velocity, self.angular_velocity)
-
-    def start_local(self) -> tuple[Array, Array]:
-        """The beam starts undeformed."""
-        n = self.constants.n_modes
-        return np.zeros(n), np.zeros(n)
 
     def with_refined_basis(self, surfaces: tuple[str, ...]) -> Beam:
         """The same beam with all degrees of freedom of its elements."""
@@ -200,7 +189,7 @@ class Beam(Body):
         return replace(self, elements=2 * self.elements)
 
     @cached_property
-    def constants(self) -> ReducedConstants:
+    def constants(self) -> ReducedConstants:  # type: ignore[override]
         """What the time loop needs."""
         return constants_of([self])[0]
 
@@ -210,7 +199,7 @@ class Beam(Body):
         new = [beam for beam in bodies if "constants" not in vars(beam)]
         for beam, made in zip(new, constants_of(new), strict=True):
             vars(beam)["constants"] = made
-        derive([beam.constants for beam in bodies])
+        super().prepare(bodies)
 
     def centre_line(self, per_element: int = 4) -> Array:
         """Points of the centre line from the centre of mass, and their modes, (n, d, 1 + modes); world axes of the start, m."""

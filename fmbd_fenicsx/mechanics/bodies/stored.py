@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,20 +9,17 @@ import numpy as np
 
 from ...errors import InputError, near
 from ...rotations import Array, motions
-from ..body import MODES, Body, Placed, Site
-from ..reduction.derived import derive
-from ..reduction.reduced import ReducedConstants, SurfaceData, placed_modes
+from ..reduction.reduced import ModalBody, ReducedConstants, SurfaceData
 from .bodies import Surface
 
 PLAIN = ("mass", "S", "T", "K", "D", "center", "size")
 
 
 @dataclass(frozen=True, eq=False)
-class StoredBody(Body):
+class StoredBody(ModalBody):
     """A reduced body by its constants; made by :func:`fmbd_fenicsx.read_reduced`. It starts at rest, where it was saved."""
 
     modal = True
-    stage = MODES
 
     name: str
     constants: ReducedConstants
@@ -50,23 +46,9 @@ class StoredBody(Body):
             raise InputError(f'Body "{self.name}" has no surface "{name}". {near(name, known)}')
         return Surface(self, name)
 
-    @classmethod
-    def prepare(cls, bodies: Sequence[Any]) -> None:
-        """What follows from the constants of all of them."""
-        derive([body.constants for body in bodies])
-
-    def placed(self, site: Site) -> Placed:
-        """Its modes as a part on its frame."""
-        return placed_modes(self, site)
-
     def start_twist(self) -> Array:
         """At rest."""
         return np.zeros(motions(self.dim).n_twist)
-
-    def start_local(self) -> tuple[Array, Array]:
-        """Modal amplitudes and rates at the start: none."""
-        n = self.constants.n_modes
-        return np.zeros(n), np.zeros(n)
 
 
 def packed(constants: ReducedConstants, name: str) -> dict[str, Any]:

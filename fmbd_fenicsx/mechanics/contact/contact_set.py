@@ -164,8 +164,7 @@ class ContactSet:
             # a bound: translation, rotation over the body's size, deformation
             body = np.abs(twist[tr.frame, : self.m.dim]).sum() + np.abs(twist[tr.frame, self.m.dim :]).sum() * tr.size
             speed = max(
-                speed,
-                float(np.linalg.norm(tr.gather(system.local_v(v, tr.part)), axis=1).max() + tr.moving * body),
+                speed, float(np.linalg.norm(tr.gather(system.local_v(v, tr.part)), axis=1).max() + tr.moving * body)
             )
         return 2.0 * speed
 

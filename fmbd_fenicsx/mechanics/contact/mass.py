@@ -150,11 +150,7 @@ class Density:
         mesh = field.mesh.dolfinx
         self.field, self.dim = field, field.dim
         coordinates = range(1, self.dim + 1)
-        self.pairs = [
-            (0, 0),
-            *((0, k) for k in coordinates),
-            *itertools.combinations_with_replacement(coordinates, 2),
-        ]
+        self.pairs = [(0, 0), *((0, k) for k in coordinates), *itertools.combinations_with_replacement(coordinates, 2)]
         self.terms = len(self.pairs)
 
         x = ufl.SpatialCoordinate(mesh)

@@ -117,12 +117,7 @@ class MortarPair:
     moving = False  # no side moves as prescribed
 
     def __init__(
-        self,
-        name: str,
-        sides: tuple[Side, Side],
-        facets: tuple[Facets, Facets],
-        traces: list[ContactTrace],
-        law: Any,
+        self, name: str, sides: tuple[Side, Side], facets: tuple[Facets, Facets], traces: list[ContactTrace], law: Any
     ) -> None:
         self.name, self.slave, self.master = name, sides[0], sides[1]
         self.friction, self.search, self.exchanged = law.friction, law.search, law.exchanged

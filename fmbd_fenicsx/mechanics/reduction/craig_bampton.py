@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from ...answers import answered_by
 from ...checks import check_fields
 from ...errors import InputError, require
 from ...fem.fields import Field
@@ -25,12 +26,10 @@ from ...fem.mixed import make_field
 from ...log import log
 from ...matrices import orthonormalising
 from ...rotations import Array
-from ..body import MODES, Body, Placed, Site
 from ..elastic.floating import attachment, frame_conditions, moment_columns
 from ..elastic.floating_start import framed_start
 from ..elastic.stiffening import Stiffening
-from .derived import derive
-from .reduced import ReducedConstants, SurfaceData, constants_of, placed_modes
+from .reduced import ModalBody, ReducedConstants, SurfaceData, constants_of
 
 SMALL = 10_000  # unknowns of a field up to which its matrices and factors, some megabytes, are kept beside its modes
 LEFT_OUT = 1e-4  # share of the mean square of an initial displacement above which modes that miss it are warned of
@@ -178,8 +177,9 @@ def _vibrations(body: Any, wanted: Any) -> Array:
         n *= 2
 
 
+@answered_by("source", "name dim displacement_degree elastic_law may_do_work keeps_energy start_twist")
 @dataclass(frozen=True, eq=False)
-class ReducedBody(Body):
+class ReducedBody(ModalBody):
     """An elastic body by a few modes in its floating frame; made by ``FloatingBody.reduced``.
 
     The reduction is computed at first use and kept: later runs of the body start at once. ``source`` is the full body.
@@ -187,21 +187,10 @@ class ReducedBody(Body):
     """
 
     meshed = modal = interpolated = True
-    stage = MODES
 
     source: Any
     basis: FrameModes | CraigBampton | RefinedBasis
     coarser: ReducedBody | None = field(default=None, init=False, repr=False)
-
-    @property
-    def name(self) -> str:  # type: ignore[override]
-        """Name of the full body."""
-        return str(self.source.name)
-
-    @property
-    def dim(self) -> int:  # type: ignore[override]
-        """Space dimension."""
-        return int(self.source.dim)
 
     @property
     def has_refined_basis(self) -> bool:
@@ -213,42 +202,9 @@ class ReducedBody(Body):
         """The full body."""
         return self.source
 
-    @property
-    def displacement_degree(self) -> int | None:
-        """That of the full body."""
-        return self.source.displacement_degree  # type: ignore[no-any-return]
-
-    @property
-    def elastic_law(self) -> Any:
-        """That of the full body."""
-        return self.source.elastic_law
-
-    @property
-    def may_do_work(self) -> bool:
-        """Loads of the full body may."""
-        return bool(self.source.may_do_work)
-
-    @property
-    def keeps_energy(self) -> bool:
-        """As the full body does."""
-        return bool(self.source.keeps_energy)
-
     def surface(self, name: str) -> Any:
         """The named surface of the mesh."""
         return replace(self.source.surface(name), body=self)
-
-    @classmethod
-    def prepare(cls, bodies: Sequence[Any]) -> None:
-        """What follows from the constants of all of them."""
-        derive([body.constants for body in bodies])
-
-    def placed(self, site: Site) -> Placed:
-        """Its modes as a part on its frame."""
-        return placed_modes(self, site, self.start_frame())
-
-    def start_twist(self) -> Array:
-        """Rigid velocity at the start."""
-        return np.asarray(self.source.start_twist())
 
     @cached_property
     def reduction(self) -> Reduction:
@@ -256,7 +212,7 @@ class ReducedBody(Body):
         return reduce_body(self.source, self.basis, None if self.coarser is None else self.coarser.reduction)
 
     @property
-    def constants(self) -> ReducedConstants:
+    def constants(self) -> ReducedConstants:  # type: ignore[override]
         """What the time loop needs."""
         return self.reduction.constants
 
@@ -387,18 +343,7 @@ def _constants(body: Any, f: Field, K: Array, phi: Array, stress: Stiffening | N
         for load, more, frame in stress.turned.columns(phi):
             load_turned[load] = np.concatenate((frame, f.total(phi.T @ more)))
     return ReducedConstants(
-        f.mass_total,
-        S,
-        T,
-        K,
-        D,
-        surfaces,
-        f.center,
-        f.size,
-        stiffening,
-        *_loads(f, Z),
-        load_stress,
-        load_turned,
+        f.mass_total, S, T, K, D, surfaces, f.center, f.size, stiffening, *_loads(f, Z), load_stress, load_turned
     )
 
 

@@ -28,12 +28,12 @@ import numpy as np
 from ...errors import ConvergenceError
 from ...fem.loads import turned_virial
 from ...rotations import Array, axial, hat, motions, spin_matrix
-from ..body import Placed, Site
+from ..body import MODES, Body, Placed, Site
 from ..elastic.foreshortening import of_constants
 from ..elastic.second_order import Acting, DisplacementMoments, SecondOrder, load_moment, turning
 from ..placements import FrameMotion, Part
 from ..validity import TOO_LARGE, too_large
-from .derived import Derived, derived
+from .derived import Derived, derive, derived
 
 
 @dataclass(frozen=True)
@@ -101,12 +101,29 @@ def reduced_part(body: Any, frame: int, surfaces: Sequence[str]) -> ReducedPart:
     return part
 
 
-def placed_modes(body: Any, site: Site, frame: tuple[Array, Array] | None = None) -> Placed:
-    """A reduced body or beam as a part; its frame begins at the centre of mass, or with a pose and twist of its own."""
-    part = reduced_part(body, site.frame, site.surfaces)
-    pose, twist = (motions(body.dim).pose(body.constants.center), None) if frame is None else frame
-    q, v = body.start_local()
-    return Placed(part, q, v, pose, twist)
+class ModalBody(Body):
+    """A body by amplitudes of modes and ``constants`` of these; undeformed at the start, its frame at the centre of mass."""
+
+    stage = MODES
+    constants: ReducedConstants
+
+    @classmethod
+    def prepare(cls, bodies: Sequence[Any]) -> None:
+        """What follows from the constants of all of them."""
+        derive([body.constants for body in bodies])
+
+    def placed(self, site: Site) -> Placed:
+        """Its modes as a part on its frame."""
+        part = reduced_part(self, site.frame, site.surfaces)
+        return Placed(part, *self.start_local(), *self.start_frame())
+
+    def start_local(self) -> tuple[Array, Array]:
+        """Modal amplitudes and rates at the start, (modes,)."""
+        return np.zeros(self.constants.n_modes), np.zeros(self.constants.n_modes)
+
+    def start_frame(self) -> tuple[Array, Array | None]:
+        """Pose and twist of the frame at the start; no twist where it is that of the body."""
+        return motions(len(self.constants.S)).pose(self.constants.center), None
 
 
 class ReducedPart(Part):

@@ -22,12 +22,7 @@ from ...system.system import System
 
 
 def state_between(
-    system: System,
-    ends: tuple[State, State],
-    t: float,
-    stepper: TimeStepper,
-    *,
-    earlier: State | None = None,
+    system: System, ends: tuple[State, State], t: float, stepper: TimeStepper, *, earlier: State | None = None
 ) -> State:
     """The state at a time t (s) between two ends of a step, that the ``stepper`` made; ``earlier``: the one that the step
     before began with, where forces are smooth.

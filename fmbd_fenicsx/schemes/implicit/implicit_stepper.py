@@ -8,7 +8,6 @@ is the first of a run, whose size nobody proposes.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, ClassVar
 
@@ -30,11 +29,11 @@ from ...system.layout import State, States
 from ...system.serialisation import Memory, plain, worker
 from ...system.system import System
 from ...system.tangents.foretold_efforts import foretold_efforts
-from ..consistent import MASS, arrived, corrected, project
+from ..consistent import MASS, corrected, project
 from ..consistent_states import all_corrected, metrics_of, projected
 from ..control import Statistics, StepControl, first_step
 from ..declared import Declared
-from ..error_norm import EPS, ErrorNorm
+from ..error_norm import EPS
 from ..newton import Newton
 from ..own_marching import OwnMarch
 from ..prescribed_ways import time_for_way
@@ -70,14 +69,10 @@ class ImplicitStepper(OwnMarch):
     _newest_size = 0.0  # s, of the newest step
 
     def __init__(self, scheme: Any, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
-        self.scheme, self.system, self.solver, self.newton, self.state = scheme, system, solver, newton, state
+        super().__init__(scheme, system, solver, newton, state, index=scheme.form.index)
         speed = system.max_abs(state.v)
         acceleration = max(speed * speed / system.length, system.max_abs(state.a))
         self.eq = step_equations(system, scheme.form, solver, acceleration)
-        self.adaptive = scheme.rtol is not None
-        self.norm = ErrorNorm(state, system, scheme.rtol or newton.tolerance, scheme.atol, scheme.form.index)
-        self.stats = Statistics()
-        self.proposed: float | None = None
         if not self.eq.dense:
             self._warn_of_roundoff(acceleration)
 
@@ -95,20 +90,9 @@ class ImplicitStepper(OwnMarch):
 
     def _begin_from(self, state: State) -> None:
         """A consistent state, without a past; equations, room and counts stay."""
-        self.state, self.proposed = state, None
+        super()._begin_from(state)
         self.iteration.forget()
         self.eq.weigh(state)
-
-    def restart(self, t: float) -> None:
-        """Forget the past: the solution has a kink at t. What drives have changed in velocities is an impact; accelerations and
-        multipliers behind the kink are solved for.
-        """
-        self._begin_from(arrived(self.system, replace(self.state, t=t), self.solver, places=False))
-
-    def begin_anew(self, start: Callable[[], State]) -> bool:
-        """As :meth:`TimeStepper.begin_anew`."""
-        self._begin_from(start())
-        return True
 
     @property
     def counters(self) -> dict[str, float]:

@@ -8,8 +8,7 @@ that tells of a kink of a drive. Source of the control: :mod:`..control`.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -30,7 +29,7 @@ from ...system.serialisation import Memory, plain, worker
 from ...system.system import System
 from ..consistent import arrived
 from ..control import ESTIMATE, Statistics, StepControl, first_step, turn_limit, turns_too_far
-from ..error_norm import ErrorNorm, check_tolerance
+from ..error_norm import check_tolerance
 from ..newton import Newton
 from ..own_marching import OwnMarch
 from .explicit_limit import StepLimit
@@ -77,13 +76,10 @@ class ExplicitStepper(OwnMarch):
     }
 
     def __init__(self, scheme: Any, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
-        self.scheme, self.system, self.solver, self.newton, self.state = scheme, system, solver, newton, state
-        self.norm = ErrorNorm(state, system, scheme.rtol or newton.tolerance, scheme.atol, 1)
-        self.control, self.stats = StepControl(float(scheme.order)), Statistics()
-        self.proposed: float | None = None
+        super().__init__(scheme, system, solver, newton, state, index=1)
+        self.control = StepControl(float(scheme.order))
         self.local_error = 0.0
         self.before: State | None = None  # at the start of the last step
-        self.adaptive = scheme.rtol is not None
         self.limit: StepLimit = StepLimit(self.what, system, solver, partial(amplified, self._tableau()[0][1]))
         self._lent: ExplicitRoom | None = None
         if self.adaptive and (left := collocated(system)):
@@ -97,18 +93,10 @@ class ExplicitStepper(OwnMarch):
         """Work so far, for the counters of a run."""
         return self.stats.as_dict()
 
-    def restart(self, t: float) -> None:
-        """Accelerations and multipliers behind a kink at t."""
-        self._begin_from(arrived(self.system, replace(self.state, t=t), self.solver, places=False))
-
-    def begin_anew(self, start: Callable[[], State]) -> bool:
-        """As :meth:`TimeStepper.begin_anew`."""
-        self._begin_from(start())
-        return True
-
     def _begin_from(self, state: State) -> None:
         """A consistent state, without a past."""
-        self.state, self.proposed, self.control.h_old, self.before = state, None, 0.0, None
+        super()._begin_from(state)
+        self.control.h_old, self.before = 0.0, None
 
     def between(self, t: float) -> State | None:
         """The state at a time t (s) within the last step, by the polynomial of the method; None after a new start; collective."""

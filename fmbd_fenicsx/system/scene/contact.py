@@ -156,11 +156,7 @@ def oriented(c: Contact) -> Contact:
     if h[0] <= h[1] * (1 + 1e-9):
         return c
     log.info(
-        'contact "%s": %r is the slave, its facets are smaller (%.3g m against %.3g m)',
-        c.name,
-        c.master,
-        h[1],
-        h[0],
+        'contact "%s": %r is the slave, its facets are smaller (%.3g m against %.3g m)', c.name, c.master, h[1], h[0]
     )
     return replace(c, slave=c.master, master=c.slave, exchanged=True)
 

@@ -81,8 +81,24 @@ def forces_of(state: Any) -> ContactForces:
     return found
 
 
+class _OfSteps(Sensor):
+    """What is told of contacts with a step."""
+
+    def read(self, ev: Evaluation, state: State, marker: int) -> Array:
+        """The quantity of the last step."""
+        return self._told(forces_of(state), ev.system)
+
+    def series(self, seen: Recorded, marker: int) -> Array:
+        """The quantity of all records."""
+        return self._told(seen.contact, seen.system)
+
+    def _told(self, c: ContactForces, system: Layout) -> Array:
+        """The quantity of a step, (size,), or of many, (k, size)."""
+        raise NotImplementedError
+
+
 @dataclass(frozen=True, eq=False)
-class ContactSensor(Sensor):
+class ContactSensor(_OfSteps):
     """A quantity of one pair: "force", "impulse", "pressure", "gap" or "work"; made by the functions
     below.
     """
@@ -95,20 +111,11 @@ class ContactSensor(Sensor):
         """A contact, but for the work of all."""
         return {"contact": self.contact} if self.contact else {}
 
-    def read(self, ev: Evaluation, state: State, marker: int) -> Array:
-        """The quantity of the last step."""
-        return self._told(forces_of(state), ev.system)
-
     def looks_at(self, system: Layout, marker: int) -> Look:
         """Nothing beside what is told of contacts; gaps of elastic surfaces, where nothing touches, are found from states."""
         return Look(states=self.quantity == "gap" and bool(system.fields))
 
-    def series(self, seen: Recorded, marker: int) -> Array:
-        """The quantity of all records."""
-        return self._told(seen.contact, seen.system)
-
     def _told(self, c: ContactForces, system: Layout) -> Array:
-        """The quantity of a step, (size,), or of many, (k, size)."""
         if self.quantity == "work":
             return c.work.copy()
         # arrays may hold many records in front
@@ -183,7 +190,7 @@ def contact_work() -> Sensor:
 
 
 @dataclass(frozen=True, eq=False)
-class LimitEffort(Sensor):
+class LimitEffort(_OfSteps):
     """Mean effort of the stops of a joint coordinate over the last step; made by :func:`limit_effort`."""
 
     limit: str = ""
@@ -193,22 +200,14 @@ class LimitEffort(Sensor):
         """A joint limit."""
         return {"joint limit": self.limit}
 
-    def read(self, ev: Evaluation, state: State, marker: int) -> Array:
-        """Forces on the stops times their levers."""
-        return self._told(forces_of(state), ev.system)
-
     def looks_at(self, system: Layout, marker: int) -> Look:
         """Nothing beside what is told of contacts."""
         return Look()
 
-    def series(self, seen: Recorded, marker: int) -> Array:
-        """The effort in all records."""
-        return self._told(seen.contact, seen.system)
-
-    def _told(self, found: ContactForces, system: Layout) -> Array:
-        """The effort of a step, (1,), or of many, (k, 1)."""
-        pair = system.contacts.pairs[found.names.index(self.limit)]
-        efforts = pair.lever(system) * pair.signs * found.normal_force[..., found.of(self.limit)]
+    def _told(self, c: ContactForces, system: Layout) -> Array:
+        # forces on the stops times their levers
+        pair = system.contacts.pairs[c.names.index(self.limit)]
+        efforts = pair.lever(system) * pair.signs * c.normal_force[..., c.of(self.limit)]
         return np.asarray(efforts.sum(-1, keepdims=True))
 
 

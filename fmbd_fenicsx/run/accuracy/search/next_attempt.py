@@ -16,14 +16,7 @@ from ....errors import InputError, require
 from ....log import log
 from ....schemes.error_norm import FINEST
 from ....system.layout import State
-from ....system.scene.refinement import (
-    cheap_levels,
-    expected_rate,
-    meshed_bodies,
-    modal_bodies,
-    refined,
-    slender,
-)
+from ....system.scene.refinement import cheap_levels, expected_rate, meshed_bodies, modal_bodies, refined, slender
 from ....system.scene.scene import Scene
 from ....system.system import System
 from ...loads_ahead import loads_ahead

@@ -39,10 +39,7 @@ from ..equal_steps import (
     of_order,
     shows_order,
 )
-from ..estimates import (
-    looked_at,
-    run_like,
-)
+from ..estimates import looked_at, run_like
 from ..larger_steps import LargerSteps
 from ..orders import REGULAR, expected_orders, resolved, seen_by_ends
 from .shares import DOUBTED, Allowed

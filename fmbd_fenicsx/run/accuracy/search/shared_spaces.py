@@ -11,14 +11,7 @@ import numpy as np
 
 from ....log import log
 from ....schemes.newton import Newton
-from ....system.scene.refinement import (
-    expected_rate,
-    more_modes,
-    one_kind,
-    refined,
-    refined_by_finer_space,
-    slender,
-)
+from ....system.scene.refinement import expected_rate, more_modes, one_kind, refined, refined_by_finer_space, slender
 from ....system.scene.scene import Scene
 from ....system.system import System
 from ...built import Built

@@ -115,10 +115,7 @@ def _limit(statement: Statement, value: Any) -> float:
 def _above_floor(sensor: str, unit: str, value: Any, span: float) -> float:
     """The tolerance of a sensor with this range, in its unit; see :func:`check_floor`."""
     limit, floor = _plain(value, span), FLOOR * span
-    require(
-        limit >= floor,
-        f'tol of "{sensor}", {limit:g} {unit}, is below what roundoff allows: about {floor:.1e}.',
-    )
+    require(limit >= floor, f'tol of "{sensor}", {limit:g} {unit}, is below what roundoff allows: about {floor:.1e}.')
     return limit
 
 

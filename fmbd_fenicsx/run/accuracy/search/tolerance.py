@@ -88,12 +88,7 @@ SHOWN = 4  # jumps of loads in the table of attempts
 
 
 def solve_within(
-    scene: Scene,
-    tol: Tolerance,
-    *,
-    t_end: float,
-    start: tuple[Any, float | None],
-    settings: tuple[Any, Any, Any],
+    scene: Scene, tol: Tolerance, *, t_end: float, start: tuple[Any, float | None], settings: tuple[Any, Any, Any]
 ) -> Run:
     """A run whose stated errors are below ``tol``, or the best that was found, see :func:`.solve`; collective."""
     check_tolerances(scene, tol)

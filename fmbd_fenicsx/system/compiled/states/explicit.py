@@ -105,12 +105,7 @@ class ExplicitStates:
         return end
 
     def _ask(
-        self,
-        function: Any,
-        numbers: Sequence[tuple[float, ...]],
-        arrays: tuple[Array, ...],
-        *,
-        factors: bool = True,
+        self, function: Any, numbers: Sequence[tuple[float, ...]], arrays: tuple[Array, ...], *, factors: bool = True
     ) -> bool:
         """Calls of a function of numbers, arrays and room to work in; whether all have found an answer.
 
