@@ -78,11 +78,12 @@ def test_start_is_read_exactly(rod_mesh: Callable[..., Any], dim: int, kind: Any
 
 @pytest.mark.mpi
 @pytest.mark.parametrize("dim", [2, 3])
-@pytest.mark.parametrize("kind", ["floating", "reduced", "absolute"])
+@pytest.mark.parametrize("kind", ["floating", "reduced", "no modes", "absolute"])
 def test_velocities_and_accelerations_are_rates(rod_mesh: Callable[..., Any], dim: int, kind: str) -> None:
     """At any state x' is the derivative of x along the motion, and x'' that of x'."""
     rod = body(rod_mesh(dim=dim, h=0.3, height=0.2), fmbd.AbsoluteBody if kind == "absolute" else fmbd.FloatingBody)
-    rod = rod.reduced(modes=4) if kind == "reduced" else rod
+    modes = {"reduced": 4, "no modes": 0}
+    rod = rod.reduced(modes=modes[kind]) if kind in modes else rod
     scene = fmbd.Scene("rates")
     scene.add(rod)
     X = (0.43, 0.031, 0.02)[:dim]

@@ -48,7 +48,7 @@ class PointOfBody:
         d = len(self.lever)
         count = self.space.dofmap.index_map.size_local
 
-        return self.point.nodal(local[..., : count * d].reshape(*local.shape[:-1], -1, d))
+        return self.point.nodal(local[..., : count * d].reshape(*local.shape[:-1], count, d))
 
     def value(self, local: Array) -> Array:
         """Displacement (.., d) of the point, or its rate, likewise; collective."""
@@ -68,8 +68,8 @@ def find(system: Layout, body: Any, X: Array) -> PointOfBody:
     if reduced:
         # modes at the nodes of the point's cell: (nodes, components, modes)
         phi = part.body.reduction.phi
-        d = len(X)
-        modes = found.nodal(phi.reshape(-1, d * phi.shape[1])).reshape(len(found.shape), d, -1)
+        d, m = len(X), phi.shape[1]
+        modes = found.nodal(phi.reshape(len(phi) // d, d * m)).reshape(len(found.shape), d, m)
     return PointOfBody(number, space, found, modes, X - origin)
 
 
