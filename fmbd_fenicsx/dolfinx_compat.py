@@ -269,3 +269,8 @@ def constants_of(form: Any) -> np.ndarray:
     from dolfinx import cpp
 
     return np.array(cpp.fem.pack_constants(form._cpp_object))
+
+
+def functions_of(form: Any) -> list[Any]:
+    """The functions among the coefficients of a compiled form, DOLFINx's own in C++."""
+    return list(form._cpp_object.coefficients)

@@ -238,3 +238,67 @@ def test_pressure_from_all_sides_turns_no_body() -> None:
     for body in (floating, floating.reduced(modes=30)):
         np.testing.assert_allclose(turned(body), reference, atol=2e-3)
     np.testing.assert_allclose(turned(floating, compiled=False), reference[:11], atol=1e-3)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("where", ["elastic", "field", "energy", "viscous", "load", "density"])
+def test_numbers_of_forms_that_change_are_seen_or_refused(rod_mesh: Callable[..., Any], where: str) -> None:
+    """A run that is under way, and modes that are made, hold matrices of the old ones; the next scene has the new ones."""
+    import ufl
+    from dolfinx import fem
+
+    mesh = rod_mesh(dim=2, h=0.5)
+    number = (
+        fem.Function(fem.functionspace(mesh.dolfinx, ("DG", 0)))
+        if where == "field"
+        else fem.Constant(mesh.dolfinx, 1.0)
+    )
+
+    def change(to: float) -> None:
+        (number.x.array if where == "field" else number.value)[...] = to
+
+    def form(u: Any, v: Any, dx: Any) -> Any:
+        return number * MODULUS * ufl.inner(ufl.sym(ufl.grad(u)), ufl.sym(ufl.grad(v))) * dx
+
+    def push(v: Any, dx: Any, ds: Any) -> Any:
+        return number * v[0] * ds("tip")
+
+    def energy(u: Any, dx: Any) -> Any:
+        strain = ufl.sym(ufl.grad(u)) + 0.5 * ufl.grad(u).T * ufl.grad(u)
+        return number * MODULUS * ufl.inner(strain, strain) * dx
+
+    changed: dict[str, Any] = {
+        "elastic": {"elastic": form},
+        "field": {"elastic": form},
+        "energy": {"elastic": None, "energy": energy},
+        "viscous": {"viscous": form},
+        "load": {"loads": (Load(push),)},
+        "density": {"density": lambda x: DENSITY * number},
+    }
+    change(1.0)
+    body = rod(mesh, traction("tip", (1.0, 0.0))).with_(**changed[where])
+
+    def clamped(body: Any) -> fmbd.Scene:
+        scene = fmbd.Scene("clamped")
+        scene.add(body, fmbd.fixed("wall", fmbd.ground, body.surface("pin")))
+        return scene
+
+    change_it = fmbd.Output(on_step=lambda now: change(2.0))
+    with pytest.raises(InputError, match=r'Body "rod".*has changed since the scene was built.*time=.*next_scene'):
+        fmbd.solve(clamped(body), t_end=0.02, dt=0.01, output=change_it)
+    change(1.0)
+    fmbd.solve(clamped(body), t_end=0.01, dt=0.01, output=change_it)  # for the next one, which sees it
+    with fmbd.stepper(clamped(body), dt=0.01) as stepper:
+        stepper.step()
+        change(3.0)
+        with pytest.raises(InputError, match="has changed since the scene was built"):
+            stepper.step()
+
+    if where == "energy":
+        return
+    reduced = body.reduced(modes=2)
+    fmbd.solve(clamped(reduced), t_end=0.01, dt=0.01)
+    change(4.0)
+    with pytest.raises(InputError, match=r'Body "rod".*has changed since the body was reduced.*Reduce it anew'):
+        fmbd.solve(clamped(reduced), t_end=0.01, dt=0.01)
+    fmbd.solve(clamped(body.reduced(modes=2)), t_end=0.01, dt=0.01)

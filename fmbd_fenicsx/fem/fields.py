@@ -22,6 +22,7 @@ from .assembly import NodalVector, product
 from .elastic_forms import ElasticForms
 from .energy_quadrature import integrated
 from .field_checks import check_field
+from .given_numbers import GivenNumbers
 from .loads import AppliedLoads
 from .nodal_field import NodalField
 from .viscous import RestDamping, Viscous
@@ -40,6 +41,8 @@ class Field(NodalField):
     keeps_volume: bool = False  # whether that pressure keeps J = 1
     loads: AppliedLoads
     viscous: Viscous
+    _w: Any = None  # the displacements in an energy
+    _energy_form: Any = None
     kept_factors: dict[float, Any] | None = None  # of K + s M by s, where several bases are computed with one field
 
     def __init__(self, name: str, mesh: Any, forms: ElasticForms) -> None:
@@ -63,6 +66,10 @@ class Field(NodalField):
         self.loads = AppliedLoads(self, forms.loads)
         self.viscous = Viscous(self, forms.viscous)
         self.D = self.viscous.matrix
+
+        elastic = self.stiffness_form if self._energy_form is None else self._energy_form
+        given = self.scalar_mass, elastic, *self.loads.forms, *self.viscous.forms
+        self.numbers = GivenNumbers(self.comm, given, (self._w, self.pressure_argument, self.viscous.rate))
 
     @property
     def argument(self) -> Any:

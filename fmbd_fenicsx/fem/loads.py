@@ -244,6 +244,7 @@ class AppliedLoads:
         self.fixed: list[tuple[Load, Array]] = []
         self.moving: list[tuple[Load, Any, NodalVector]] = []
         self.loads: list[Load] = []
+        self.forms: list[Any] = []  # of each, compiled
         for given in loads:
             try:
                 load, form, stress = self._formed(given, v)
@@ -255,6 +256,7 @@ class AppliedLoads:
                     f'A load on body "{field.name}" is not a linear UFL form in v: {type(error).__name__}: {error}'
                 ) from error
             self.loads.append(load)
+            self.forms.append(rows.form)
             if load.deformed is not None and field.nonlinear:
                 self.moving.append((load, fem.Constant(msh, 0.0), rows))
                 continue

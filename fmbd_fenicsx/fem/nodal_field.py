@@ -164,7 +164,8 @@ class NodalField:
         # inertia: the same of every component
         p, q = ufl.TrialFunction(scalar), ufl.TestFunction(scalar)
         self.rho = density_on(name, mesh, forms.density)
-        self.M = fp.assemble_matrix(compat.form(self.rho * p * q * mesh.dx))
+        self.scalar_mass = compat.form(self.rho * p * q * mesh.dx)
+        self.M = fp.assemble_matrix(self.scalar_mass)
         self.M.assemble()
         self._mass_matrix: Any = None
         self.redistributed = False  # whether masses were moved between nodes, see replace_mass

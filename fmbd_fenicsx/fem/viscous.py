@@ -41,6 +41,8 @@ class Viscous:
         self.field = field
         self.law: Any = None
         self.matrix: Any = None
+        self.rate: Any = None
+        self.forms: tuple[Any, ...] = ()  # what was given, compiled
         if viscous is None:
             return
         u = ufl.TrialFunction(field.space)
@@ -54,8 +56,10 @@ class Viscous:
                 # the force is the law's own; Newton's matrix its symmetric part
                 self.residual = NodalVector(compat.form(self.law))
                 self.form = compat.form(symmetric(ufl.derivative(self.law, self.rate, u)))
+                self.forms = (self.residual.form,)
             else:
                 self.form = compat.form(viscous(u, v, dx))
+                self.forms = (self.form,)
             self.matrix = fp.create_matrix(self.form, "baij")
         except Exception as error:
             raise InputError(

@@ -18,6 +18,7 @@ from ..rotations import Array, Motions
 
 if TYPE_CHECKING:
     from ..fem.fields import Field
+    from ..fem.given_numbers import GivenNumbers
     from .elastic.foreshortening import Bent, Shortening
 
 
@@ -90,6 +91,7 @@ class Part(Protocol):
     n_frame_rows: int = 0
     comm: Any = None
     body: Any = None  # of the scene
+    numbers: GivenNumbers | None = None  # in the forms that it was made of, None: no forms
     mass_total: float = 0.0  # kg
     size: float = 0.0  # m
     rms: Array | None = None  # (n,) root mean square displacement by amplitudes of one, m; None: no amplitudes

@@ -141,6 +141,7 @@ class SceneStepper(Uncopied):
         if (comm := self._problem.system.comm) is not None and comm.size > 1:
             refuse_differing(comm, "step", {"dt": dt, **values_of_inputs(self.scene)})
         self._motions.look(self.t + dt)
+        self._problem.system.refuse_changed_forms()
 
         if self._jumped:  # the past of the stepper is that of other forces
             self._progress.stepper.restart(self.t)

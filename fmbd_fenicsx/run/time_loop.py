@@ -178,6 +178,7 @@ class Loop:
             if self.watchers:
                 self._look()
             while not self.schedule.ended(self.state.t, self.progress.done):
+                self.problem.system.refuse_changed_forms()
                 made, seen = self._equal_steps() if self.schedule.steps else self._chosen_step()
                 self._count(made)
                 if self.watchers:
@@ -303,6 +304,7 @@ class Loop:
     def _count(self, made: int) -> None:
         """So many steps more."""
         self.progress.done += made
+        self.problem.system.refuse_changed_forms()
         self.progress.local_error = max(self.progress.local_error, self.stepper.local_error, self.calls.local_error)
 
     def _ends_by_event(self) -> bool:

@@ -20,6 +20,11 @@ from .evaluation_batch import EvaluationBatch
 from .evaluator import Evaluator, NumPyEvaluator
 from .lengths import Measured
 
+CHANGES_ON_THE_WAY = (
+    "What changes in time is the factor time=... of a load (internal=True: a strain of its own). For another stiffness end the "
+    "run by an event, set the value, and go on with run.next_scene()."
+)
+
 
 class System(Measured):
     """All bodies, constraints and forces of a scene, which evaluates their states; see the module for the equations."""
@@ -56,3 +61,13 @@ class System(Measured):
         """The system in many configurations q (k, n_q), v (k, n_v) at the times t, (k,) or one for all; collective."""
         times = t if isinstance(t, np.ndarray) else np.array([t] * len(q), dtype=float)
         return self.evaluator.batch(times, q, v)
+
+    def refuse_changed_forms(self) -> None:
+        """Refuse other numbers in the forms of bodies than they were assembled with; collective.
+
+        Raises:
+            InputError: a constant or a function of the user's has changed.
+        """
+        for part in self.parts:
+            if part.numbers is not None:
+                part.numbers.refuse_changed(part.name, "the scene was built", CHANGES_ON_THE_WAY)

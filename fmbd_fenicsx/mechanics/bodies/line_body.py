@@ -24,6 +24,7 @@ import numpy as np
 from ... import dolfinx_compat as compat
 from ...checks import check_fields, number, whole
 from ...errors import CallbackError, InputError, floats, named, near, require
+from ...fem.given_numbers import GivenNumbers
 from ...rotations import Array
 from ..body import LINES, Body, Placed, Site
 from ..placements import FrameMotion, Part
@@ -191,7 +192,8 @@ class LinePart(Part):
         dz = ufl.TrialFunction(self.space)
         ds = ufl.Measure("dx", domain=self.space.mesh)
         try:
-            M = fem.assemble_matrix(compat.form(b.mass(z, w, ds)))
+            mass = compat.form(b.mass(z, w, ds))
+            M = fem.assemble_matrix(mass)
             self.M = self.constant_mass = M.to_dense()
             self._z = fem.Function(self.space)
             # reduced integration: full would lock thin lines
@@ -206,6 +208,7 @@ class LinePart(Part):
                 f"{type(error).__name__}: {error}"
             ) from error
 
+        self.numbers = GivenNumbers(self.space.mesh.comm, (mass, self._energy), (self._z,))
         self._add_force, self._values = compat.assembly_of(self._force), self._z.x.array
         self._K = fem.create_matrix(self._stiffness)
         if np.abs(self.M - self.M.T).max() > 1e-10 * np.abs(self.M).max():

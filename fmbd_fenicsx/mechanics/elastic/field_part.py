@@ -44,7 +44,7 @@ class FieldPart(DistributedPart):
 
     def __init__(self, field: Field, frame: int, surfaces: list[str], conditions: Array) -> None:
         self.field, self.frame, self.name, self.comm = field, frame, field.name, field.comm
-        self.motions = motions(field.dim)
+        self.motions, self.numbers = motions(field.dim), field.numbers
         self.n = field.n * field.dim
         self.surfaces = [field.moments(s) for s in surfaces]
         self.conditions = conditions

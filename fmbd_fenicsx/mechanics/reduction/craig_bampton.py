@@ -343,8 +343,9 @@ def _constants(body: Any, f: Field, K: Array, phi: Array, stress: Stiffening | N
         for load, more, frame in stress.turned.columns(phi):
             load_turned[load] = np.concatenate((frame, f.total(phi.T @ more)))
     return ReducedConstants(
-        f.mass_total, S, T, K, D, surfaces, f.center, f.size, stiffening, *_loads(f, Z), load_stress, load_turned
-    )
+        f.mass_total, S, T, K, D, surfaces, f.center, f.size, stiffening,
+        *_loads(f, Z), load_stress, load_turned, f.numbers,
+    )  # fmt: skip
 
 
 def _surface(f: Field, name: str, phi: Array, stress: Stiffening | None, held_at: str | None) -> SurfaceData:

@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import ConvergenceError
+from ...fem.given_numbers import GivenNumbers
 from ...fem.loads import turned_virial
 from ...rotations import Array, axial, hat, motions, spin_matrix
 from ..body import MODES, Body, Placed, Site
@@ -58,7 +59,8 @@ class ReducedConstants:
     damping; ``surfaces`` by name; ``center`` (d,) origin of the frame at the start, world axes; ``size`` m;
     ``stiffening`` (d + d^2, m, m): G of (2) for unit a and L, or None; ``loads``: pairs of a load of ``fem.loads`` and its
     (m + 1, d, d): sum_n b_n Z_a,n^T; ``load_stress``: G of their stress, (d, d, m, m): the nodal component i along axis j;
-    ``load_turned``: rows of the frame and of the modes, body axes, by what amplitudes add to carried ones, (n_twist + m, m).
+    ``load_turned``: rows of the frame and of the modes, body axes, by what amplitudes add to carried ones, (n_twist + m, m);
+    ``numbers``: of the user's in its forms, None without forms.
     """
 
     mass: float
@@ -74,6 +76,7 @@ class ReducedConstants:
     load_sums: dict[Any, Array] = field(default_factory=dict)
     load_stress: dict[Any, Array] = field(default_factory=dict)
     load_turned: dict[Any, Array] = field(default_factory=dict)
+    numbers: GivenNumbers | None = None
 
     @property
     def n_modes(self) -> int:
@@ -98,6 +101,8 @@ def reduced_part(body: Any, frame: int, surfaces: Sequence[str]) -> ReducedPart:
     """A reduced body or beam as a part of a system, with the ports of the named surfaces."""
     part = ReducedPart(body.name, body.constants, frame, surfaces)
     part.body = body
+    if part.numbers is not None:
+        part.numbers.refuse_changed(body.name, "the body was reduced", "Reduce it anew.")
     return part
 
 
@@ -133,6 +138,7 @@ class ReducedPart(Part):
 
     def __init__(self, name: str, constants: ReducedConstants, frame: int, surfaces: Sequence[str]) -> None:
         self.name, self.constants, self.frame, self.surfaces = name, constants, frame, tuple(surfaces)
+        self.numbers = constants.numbers
 
         self.dim = d = constants.S.shape[0]
         self.motions = motions(d)
