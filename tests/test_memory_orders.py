@@ -12,10 +12,11 @@ from scipy.integrate import solve_ivp
 from test_compiled_evaluation import compiled
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.errors import CallbackError
+from fmbd_fenicsx.errors import CallbackError, ConvergenceError
 from fmbd_fenicsx.rotations import Array
 from fmbd_fenicsx.system.compiled import choice
 from fmbd_fenicsx.system.control.control_laws import unfelt
+from fmbd_fenicsx.system.control.memory_points import PointMemories
 
 END = 2.0
 TIMES = np.linspace(0.0, END, 11)
@@ -144,6 +145,18 @@ def test_error_control_sees_memories(name: str) -> None:
 def test_a_tighter_tolerance_is_met() -> None:
     run = fmbd.solve(wheel("filtered"), t_end=END, scheme=fmbd.Radau(rtol=1e-8), output=AT_TIMES)
     assert error(run, "filtered") < 2e-8
+
+
+@compiled
+@pytest.mark.parametrize("driven", [True, False])
+@pytest.mark.parametrize("scheme", [fmbd.Radau(rtol=1e-6), fmbd.BDF(rtol=1e-6)], ids=["radau", "bdf"])
+def test_an_error_that_is_no_number_passes_no_step(scheme: Any, driven: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Behind an error of the motion max() and fmax() lose it."""
+    if not driven:
+        monkeypatch.setattr(choice, "driver_of", lambda *system: None)
+    monkeypatch.setattr(PointMemories, "error", lambda *given: float("nan"))
+    with pytest.raises(ConvergenceError, match="cannot be made smaller"):
+        fmbd.solve(wheel("filtered"), t_end=0.1, scheme=scheme)
 
 
 @compiled

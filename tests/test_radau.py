@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import cycle
 from typing import Any
 
 import numpy as np
@@ -18,8 +19,10 @@ from fmbd_fenicsx.run import solve as solving
 from fmbd_fenicsx.run.schedule import step_schedule
 from fmbd_fenicsx.schemes.marching import MarchingStepper
 from fmbd_fenicsx.schemes.onestep.collocation import tableau
+from fmbd_fenicsx.schemes.onestep.radau import RadauStepper
 from fmbd_fenicsx.schemes.onestep.stage_newton import StageNewton
 from fmbd_fenicsx.schemes.rigid_motions import RigidMotions
+from fmbd_fenicsx.system.compiled import choice
 
 ORDERS = [
     (2, fmbd.Index3(), (3, 2, 1)),
@@ -251,6 +254,16 @@ def test_a_jump_that_cannot_be_passed_is_reported_with_its_history() -> None:
         ConvergenceError, match=r"t = 0\.[45]\d* s cannot be made smaller: \d+ rejections.*forces not finite"
     ):
         fmbd.solve(scene, t_end=1.0, scheme=fmbd.Radau(rtol=1e-6))
+
+
+def test_a_second_sum_that_is_no_number_passes_no_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The step is refused as by a first one, which max() took instead."""
+
+    sizes = cycle((0.5, np.nan))
+    monkeypatch.setattr(choice, "driver_of", lambda *system: None)
+    monkeypatch.setattr(RadauStepper, "_filtered_size", lambda *given: next(sizes))
+    with pytest.raises(ConvergenceError, match="cannot be made smaller"):
+        fmbd.solve(pendulum(), t_end=0.1, scheme=fmbd.Radau(rtol=1e-6))
 
 
 def test_arguments_that_make_no_sense() -> None:

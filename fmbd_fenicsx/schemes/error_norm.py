@@ -24,6 +24,7 @@ from ..checks import check_fields
 from ..errors import require
 from ..ranks import rank_sum
 from ..rotations import Array
+from ..system.element_memory import worst
 from ..system.layout import State
 from ..system.lengths import farthest
 from ..system.serialisation import Memory, Remembering, plain
@@ -175,7 +176,7 @@ class ErrorNorm(Remembering):
             for error, power in ((e_v, 0), (None if self.index == 1 else e_a, 1)):
                 if error is not None:
                     kinds += self._of_rates(h, error, power)
-        return max([self.mean(x) for x in kinds], default=0.0)
+        return worst(*(self.mean(x) for x in kinds))
 
     def _of_rates(self, h: float, error: Array, power: int) -> list[Array]:
         """Errors of velocities (``power`` 0) or of accelerations (1) over their tolerances; those of deformations apart."""
@@ -188,7 +189,7 @@ class ErrorNorm(Remembering):
 
     def pushed(self, h: float, a: Array) -> float:
         """The norm of accelerations, (n,), or the largest over several, that count in no error; collective."""
-        return max(self.mean(x) for x in self._of_rates(h, a, 1))
+        return worst(*(self.mean(x) for x in self._of_rates(h, a, 1)))
 
     def mean(self, x: Array) -> float:
         """Root mean square of the core, or that of the worst field, of arrays like v, (..., n_v); collective."""
@@ -203,7 +204,7 @@ class ErrorNorm(Remembering):
             counts = rank_sum(s.comm, np.array([float(p.n) for _, p in s.fields]))
             total = rank_sum(s.comm, squares).reshape(len(parts), -1).max(axis=1)
             means += list(total / np.maximum(counts, 1.0))
-        return float(np.sqrt(max(means, default=0.0)))
+        return float(np.sqrt(worst(*means)))
 
     def constant(self, h: float, state: State) -> float:
         """What a Newton increment may move (m) in constant steps: rtol of the accelerations, above roundoff of places."""

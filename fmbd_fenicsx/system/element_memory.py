@@ -114,6 +114,12 @@ def lead_memories(system: System, share: float) -> None:
         loads.lead(share)
 
 
+def worst(*errors: float) -> float:
+    """The largest of errors, zero of none; not a number where one is none, which max() loses behind others."""
+    total = sum(errors)
+    return max(errors, default=0.0) if total == total else total
+
+
 def memory_error(system: System, of: StepError) -> float:
     """The largest error of a memory in the step whose points were found last, over the tolerance."""
-    return max((loads.memory_error(of) for loads in collocated(system)), default=0.0)
+    return worst(*(loads.memory_error(of) for loads in collocated(system)))

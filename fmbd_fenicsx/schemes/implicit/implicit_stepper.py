@@ -25,6 +25,7 @@ from ...system.compiled.march import March
 from ...system.compiled.states.convergence import Convergence
 from ...system.compiled.states.evaluation import DriverStates
 from ...system.compiled.states.stages import StageRule
+from ...system.element_memory import worst
 from ...system.layout import State, States
 from ...system.serialisation import Memory, plain, worker
 from ...system.system import System
@@ -180,7 +181,7 @@ class ImplicitStepper(OwnMarch):
         held = self.eq.along_ties(pencil, errors)
         if not held.any():
             return self.norm(h, e_q, e_v, e_a)
-        return max(self.norm(h, e_q, *(errors - held)), self.norm.mean(held[0] * (h / self.norm.wq)))
+        return worst(self.norm(h, e_q, *(errors - held)), self.norm.mean(held[0] * (h / self.norm.wq)))
 
     # -- what a scheme says of steps of compiled code ------------------------------------------------------------------
     def _lend(self) -> ImplicitRoom:

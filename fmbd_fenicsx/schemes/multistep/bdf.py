@@ -38,7 +38,7 @@ from ...system.compiled.own_steps import OwnRoom
 from ...system.compiled.states.convergence import Convergence
 from ...system.compiled.states.stages import StageRule
 from ...system.control.memory_points import StepError
-from ...system.element_memory import divide, memory_error
+from ...system.element_memory import divide, memory_error, worst
 from ...system.layout import State, States
 from ...system.scene.contents import Contents
 from ...system.serialisation import plain, worker
@@ -334,7 +334,7 @@ class BDFStepper(ImplicitStepper):
             share = max(share, 1.0 / (k + 1))
         of_memories = StepError(np.array([share]), -share * w, times, 0.0, 0.0, *self.norm.tolerances)
         motion = self._error_size(h, self.iteration.pencil, share * (p.xi[0] - w @ xis), share * (p.v[0] - w @ vs))
-        return max(motion, memory_error(self.system, of_memories))
+        return worst(motion, memory_error(self.system, of_memories))
 
     # -- what a march begins with -----------------------------------------------------------------------------------
     def _in_one_call(self, h: float) -> bool:

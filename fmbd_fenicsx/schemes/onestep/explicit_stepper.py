@@ -23,7 +23,7 @@ from ...system.compiled.explicit import CONTROLLED, ExplicitRoom
 from ...system.compiled.march import March
 from ...system.compiled.states.evaluation import DriverStates
 from ...system.compiled.states.explicit import Tableau
-from ...system.element_memory import collocated
+from ...system.element_memory import collocated, worst
 from ...system.layout import State, States
 from ...system.serialisation import Memory, plain, worker
 from ...system.system import System
@@ -231,7 +231,7 @@ class ExplicitStepper(OwnMarch):
 
             closed = arrived(self.system, made, self.solver)
             way = self.system.difference(made.q, closed.q)
-            return closed, max(error, self.norm(h, way, np.zeros_like(way))), ESTIMATE
+            return closed, worst(error, self.norm(h, way, np.zeros_like(way))), ESTIMATE
         except (ConvergenceError, LinearSolveError):
             return None, np.inf, "constraints not closed"
         except CallbackError as fault:

@@ -35,7 +35,7 @@ from ...system.compiled.own_steps import OwnRoom
 from ...system.compiled.states.convergence import Convergence
 from ...system.compiled.states.stages import StageRule
 from ...system.control.memory_points import StepError
-from ...system.element_memory import memory_error
+from ...system.element_memory import memory_error, worst
 from ...system.layout import State, States
 from ...system.serialisation import plain
 from ...system.system import System
@@ -261,9 +261,9 @@ class RadauStepper(ImplicitStepper):
         kin = v + tab.error @ moved / h - self.eq.corrections(self.mult[None], 1)[0]
         push = a + tab.error @ change / h
 
-        error = max(self._filtered_size(h, -kin, push), self._memory_error(h))
+        error = worst(self._filtered_size(h, -kin, push), self._memory_error(h))
         left = self._left_between(h, (dq, moved), (v, change), points.mult) if self.eq.looks_between else None
-        return error if left is None else max(error, self._filtered_size(h, *left))
+        return error if left is None else worst(error, self._filtered_size(h, *left))
 
     def _filtered_size(self, h: float, kin: Array, push: Array) -> float:
         """The norm of errors by what is left of the rates of xi and by accelerations that are missing, like v. Filtered:

@@ -167,7 +167,8 @@ class PointMemories:
             off = solved(of.frequency * np.eye(len(off)) - self.slopes[-1][1], off)
         sizes = self.sizes(kept, self.t[-1], self.z[-1])
         allowed = of.rtol * sizes + of.atol
-        return float(np.max(np.abs(off)[allowed > 0] / allowed[allowed > 0], initial=0.0))
+        counts = allowed != 0
+        return float(np.max(np.abs(off[counts]) / allowed[counts], initial=0.0))
 
 
 def _change(couple: Array, slopes: list[Answers], miss: Array) -> Array:

@@ -48,7 +48,7 @@ from ....linear.blocks.field_blocks import Weights
 from ....linear.condensation import StepSolver
 from ....rotations import Array
 from ....system.compiled.declarations import constants
-from ....system.element_memory import whole_steps
+from ....system.element_memory import whole_steps, worst
 from ....system.evaluation import Evaluation
 from ....system.layout import State
 from ....system.serialisation import plain, worker
@@ -351,7 +351,7 @@ class VariableAlpha(Around):
         if self.drags and error <= 1.0 and self.norm(h, self.stepper.unfiltered(h), still) > 1.0:
             error = self.norm(h, self.stepper.error(h, replace(self._weights(h), cd=0.0)), still)
         missed = self.stepper.missed_speeds(h) if self.laws and error <= 1.0 else None
-        if missed is None or not self.norm.of_speeds(h, missed) > max(error, CALM):
+        if missed is None or self.norm.of_speeds(h, missed) <= max(error, CALM):
             return error  # less is what Newton's iteration leaves of accelerations
         ends = self.stepper.begun[0], self.state
-        return max(error, *(self.norm.of_speeds(h, self.stepper.filtered(h, missed, s)) for s in ends))
+        return worst(error, *(self.norm.of_speeds(h, self.stepper.filtered(h, missed, s)) for s in ends))

@@ -101,6 +101,7 @@ int friction_overran(System *s, double t, double h);
 void hold_friction(System *s, int back);
 void drag_friction(System *s, double t);
 double largest(const double *x, int n);
+double worse(double a, double b);
 double largest_of(const double *units, const double *x, int n);
 double small(const System *s, const double *p, const double *q, double accelerated);
 double correction(int k, int count);

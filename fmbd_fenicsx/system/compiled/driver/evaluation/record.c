@@ -117,6 +117,9 @@ double far_from_origin(const System *s, const double *q, double length)
     return place + length * (angle + counted);
 }
 
+/* The larger of two errors; nan where one is, which fmax() and comparisons lose. */
+double worse(double a, double b) { return a > b || a != a ? a : b; }
+
 double largest(const double *x, int n)
 {
     double found = 0.0;

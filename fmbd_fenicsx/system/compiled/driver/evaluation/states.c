@@ -166,8 +166,8 @@ int memory_error(System *s, double *error)
     if (r->asked && s->python(MEMORY_ERROR, 0, 0.0)) return FAILED;
     for (const Batch *k = s->batch; k < s->batch + s->batches; k++)
         for (long i = 0; k->role == FORMULA && k->formula == PID && i < k->n; i++)
-            r->error = fmax(r->error, integral_error(k->constants + FORMULA_WIDTH * i, integral_of(k, i), r));
-    *error = fmax(*error, r->error);
+            r->error = worse(r->error, integral_error(k->constants + FORMULA_WIDTH * i, integral_of(k, i), r));
+    *error = worse(*error, r->error);
     return DONE;
 }
 

@@ -100,8 +100,7 @@ static double step_error(const System *s, const Implicit *o, const double *const
         for (int i = 0; i < n; i++) held[i] = norm.h * held[n + i];
         if (kind == 1) along = sqrt(mean_square(s, &norm, 0, held));
     }
-    const double across = own_norm(s, &norm, others, kinds);
-    return across < along ? along : across; /* nan stays */
+    return worse(own_norm(s, &norm, others, kinds), along);
 }
 
 /* A step from a state on, in coordinates about it, with the tangent and the rate that this one has. */

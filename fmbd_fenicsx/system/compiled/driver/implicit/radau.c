@@ -353,8 +353,7 @@ static int own_error(System *s, Implicit *o, double h, const Block *now, const d
     if (verdict) return verdict == NEWTON || verdict == SINGULAR ? DONE : verdict;
     found->filtered++;
     if ((verdict = filtered(s, o, kin, push, change, work, rest))) return verdict;
-    const double between = step_error(s, o, parts, kinds, rest);
-    if (!(between < found->error)) found->error = between; /* nan, too */
+    found->error = worse(found->error, step_error(s, o, parts, kinds, rest));
     return DONE;
 }
 

@@ -331,10 +331,7 @@ static double largest_square(const System *s, const Stages *o, int count, int ki
 {
     const Norm norm = norm_of(o);
     double worst = 0.0;
-    for (int j = 0; j < count; j++, x += o->n) {
-        double one = mean_square(s, &norm, kind, x);
-        if (!(one <= worst)) worst = one;
-    }
+    for (int j = 0; j < count; j++, x += o->n) worst = worse(worst, mean_square(s, &norm, kind, x));
     return worst;
 }
 
@@ -342,10 +339,7 @@ static double largest_square(const System *s, const Stages *o, int count, int ki
 static double largest_length(const System *s, const Stages *o, int count, const double *x)
 {
     double worst = 0.0;
-    for (int j = 0; j < count; j++) {
-        double size = largest_of(s->units, x + j * o->n, o->n);
-        if (!(size <= worst)) worst = size;
-    }
+    for (int j = 0; j < count; j++) worst = worse(worst, largest_of(s->units, x + j * o->n, o->n));
     return worst;
 }
 

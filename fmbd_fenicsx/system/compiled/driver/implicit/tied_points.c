@@ -17,7 +17,7 @@ static double pulled(const System *s, const Stages *o, double h)
         for (int i = 0; i < o->R.rows; i++)
             for (int p = o->R.start[i]; p < o->R.start[i + 1]; p++) pull[o->R.on[p]] += o->R.data[p] * efforts[i];
         apply_real(&o->W, h * h, pull, moved);
-        worst = fmax(worst, mean_square(s, &norm, 0, moved));
+        worst = worse(worst, mean_square(s, &norm, 0, moved));
     }
     return worst;
 }

@@ -92,10 +92,9 @@ static double error_norm(const System *s, const Control *c, const double *q, con
         for (int i = 0; x->rms && i < x->n; i++)
             core += squares(e + x->at_v + i, 1, (c->rtol * x->reached / x->rms[i] + c->atol) / per);
         double mean = x->rms ? 0.0 : squares(e + x->at_v, x->n, (c->rtol * x->reached + c->atol) / per) / x->n;
-        if (!(mean <= worst)) worst = mean; /* nan stays */
+        worst = worse(worst, mean);
     }
-    if (c->core && !(core / c->core <= worst)) worst = core / c->core;
-    return sqrt(worst);
+    return sqrt(c->core ? worse(worst, core / c->core) : worst);
 }
 
 static const double FAR_JUMP = 1e6; /* times accelerations of a state */
@@ -115,14 +114,14 @@ static int with_speeds(System *s, const double *p, Control *c, const Block *past
     /* the balance is linear in accelerations: a jump that is large beside what Newton's iteration leaves of them */
     const double jump = FAR_JUMP * fmax(typical(s, past->a), typical(s, out->a)), part = largest_of(s->units, c->missed_speed, s->nv) / jump;
     double found = *error;
-    if (!(error_norm(s, c, out->q, c->missed_speed, h) > fmax(found, c->calm))) return DONE; /* less is what Newton's iteration leaves */
+    if (error_norm(s, c, out->q, c->missed_speed, h) <= fmax(found, c->calm)) return DONE; /* less is what Newton's iteration leaves */
 
     for (int k = 0; k < 2; k++) {
         const Block *at = ends[k];
         for (int i = 0; i < s->nv; i++) c->a[i] = at->a[i] + c->missed_speed[i] / part;
         if ((verdict = sample(s, *at->t, &asked))) return verdict;
         if ((verdict = filtered(s, part, 0.0, weights, at->q, at->v, c->a, at->lam, *at->t, c->missed_speed, c->e, c->y))) return verdict;
-        found = fmax(found, error_norm(s, c, out->q, c->e, h));
+        found = worse(found, error_norm(s, c, out->q, c->e, h));
     }
     *error = found;
     return DONE;

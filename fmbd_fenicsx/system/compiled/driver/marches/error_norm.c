@@ -43,8 +43,7 @@ static double mean_square(const System *s, const Norm *o, int kind, const double
             of_bent += b * b;
         }
 
-        double one = (of_bent > sum ? of_bent : sum) / o->counted[k];
-        if (o->counted[k] && !(one <= worst)) worst = one; /* nan stays */
+        if (o->counted[k]) worst = worse(worst, worse(sum, of_bent) / o->counted[k]);
     }
     return worst;
 }
@@ -53,9 +52,6 @@ static double mean_square(const System *s, const Norm *o, int kind, const double
 static double own_norm(const System *s, const Norm *o, const double *const *parts, int kinds)
 {
     double worst = 0.0;
-    for (int i = 0; i < kinds; i++) {
-        double one = mean_square(s, o, i, parts[i]);
-        if (!(one <= worst)) worst = one; /* nan stays */
-    }
+    for (int i = 0; i < kinds; i++) worst = worse(worst, mean_square(s, o, i, parts[i]));
     return sqrt(worst);
 }

@@ -273,8 +273,7 @@ static void take(System *s, const double *p, AlphaStep *k)
         go_on(s, k->xi, k->closing);
     } else k->misfit = s->stiff ? other_pulls(s, k->x) : 0.0;
 
-    double size = largest_of(s->units, k->x, n);
-    if (!(closed <= size)) size = closed; /* nan stays */
+    const double size = worse(largest_of(s->units, k->x, n), closed);
     k->far = size > p[FAR];
     k->sizes[k->done++] = size / k->tolerance;
 

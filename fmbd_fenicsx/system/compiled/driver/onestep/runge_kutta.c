@@ -151,7 +151,7 @@ static int passing_step(System *s, double *p, Explicit *o, const Method *method,
         if (lets_pass(c, found)) {
             const double *const closed[1] = {e->xi};
             if ((verdict = end_step(s, p, out, e->xi, e->rest))) return verdict;
-            found->error = fmax(found->error, own_norm(s, &o->norm, closed, 1));
+            found->error = worse(found->error, own_norm(s, &o->norm, closed, 1));
             if (lets_pass(c, found)) return DONE;
         }
         if (!refused_size(c, now, p[H], c->order, found)) return NEWTON;

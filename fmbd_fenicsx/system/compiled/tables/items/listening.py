@@ -17,6 +17,7 @@ from .....rotations import Array
 from ....control.controllers import ControlLoads
 from ....control.memory_points import PointRule, StepError
 from ....control.readings import Reading
+from ....element_memory import worst
 from ....sensors.sensors import AngularVelocity, Position, Velocity
 from ...declarations import enumeration
 from ..structures import array_of, structure
@@ -225,7 +226,7 @@ class Listening:
         k, ends = c.points, c.ends
         points, behind, times = (np.array(x) for x in (c.of_points[:k], c.of_ends[:ends], c.end[:ends]))
         of = StepError(points, behind, times, c.of_rate, c.frequency, c.rtol, c.atol)
-        c.error = max(one.law.points.error(one.law.kept, of) for one in self._remembering)
+        c.error = worst(*(one.law.points.error(one.law.kept, of) for one in self._remembering))
 
     def keep(self, t: float) -> None:
         """Take up an accepted step that ends at t."""
