@@ -155,24 +155,6 @@ def two_in_one(solved: Solved) -> Compared | None:
     return None if two is None or given.steps < NEAREST * two.steps else two
 
 
-class LargerSteps:
-    """The last run with steps of its own choice, and that beside it with two of these in one; made once."""
-
-    def __init__(self) -> None:
-        self._made: tuple[Compared, Compared | None] | None = None
-
-    def two_in_one(self, solved: Solved) -> Compared | None:
-        """See :func:`two_in_one`."""
-        if self._made is None or self._made[0] is not solved.compared:
-            self._made = solved.compared, two_in_one(solved)
-        return self._made[1]
-
-    def error(self, solved: Solved, allowed: Allowed) -> TimeError | None:
-        """The error by the steps of a run, see :func:`larger_steps_error`; None where larger ones do not tell it; collective."""
-        two = self.two_in_one(solved)
-        return None if two is None else larger_steps_error(solved, two, allowed)
-
-
 def larger_steps_error(solved: Solved, two: Compared, allowed: Allowed) -> TimeError | None:
     """The error by the steps of a run beside one with ``two`` in one; None where larger ones do not tell it; collective.
 

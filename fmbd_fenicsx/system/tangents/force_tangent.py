@@ -20,7 +20,7 @@ Reactions that push hard (:mod:`.reaction_tangent`) add theirs, and the symmetri
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -75,10 +75,9 @@ def force_tangent(ev: Evaluation, cd: float, ck: float) -> ForceTangent | None:
             left.append(J.T @ (U[:, keep] * root))
             right.append(J.T @ (Vt[keep].T * root))
 
+    for frames, blocks in _on_frames(ev, cd, ck, pushing):
+        entries.add_blocks(frames.T, blocks)
     core = entries.matrix()
-    blocks = list(_on_frames(ev, cd, ck, pushing))
-    if blocks:
-        core = _with_blocks(ev, core, blocks)
     if core is None and not left:
         return None
     none = np.zeros((s.n_core + s.n_port, 0))
@@ -160,23 +159,23 @@ class _Entries:
         """Elements between markers on frames, of those that ``which`` selects."""
         if not which.any():
             return
-        s = self.ev.system
-        kin = self.ev.kin
-        n = s.motions.n_twist
-        T, sides = T[which], [m[which] for m in markers]
-        jac = [kin.jac_frame[i] for i in sides]
-        size = kin.jac_frame.shape[1]
-        for i, a in enumerate(sides):
-            for j, b in enumerate(sides):
-                part = T[:, i * size : (i + 1) * size, j * size : (j + 1) * size]
-                fa, fb = s.markers.frame[a], s.markers.frame[b]
-                # the ground does not move
-                keep = (fa < s.n_frames) & (fb < s.n_frames)
-                self.data.append((jac[i].swapaxes(1, 2) @ part @ jac[j])[keep].ravel())
+        jac = [self.ev.kin.jac_frame[m[which]] for m in markers]
+        size = jac[0].shape[1]
+        T = T[which].reshape(-1, len(jac), size, len(jac), size)
+        blocks = [[a.swapaxes(1, 2) @ T[:, i, :, j] @ b for j, b in enumerate(jac)] for i, a in enumerate(jac)]
+        self.add_blocks([self.ev.system.markers.frame[m[which]] for m in markers], np.block(blocks))
 
-                shape = (int(keep.sum()), n, n)
-                self.rows.append(np.broadcast_to(fa[keep, None, None] * n + np.arange(n)[None, :, None], shape).ravel())
-                self.cols.append(np.broadcast_to(fb[keep, None, None] * n + np.arange(n)[None, None, :], shape).ravel())
+    def add_blocks(self, frames: Sequence[np.ndarray], blocks: Array) -> None:
+        """Blocks (m, k n_twist, k n_twist) on frames, k times (m,)."""
+        n = self.ev.system.motions.n_twist
+        at = np.stack(frames, axis=1)[:, :, None] * n + np.arange(n)
+        at = at.reshape(len(at), len(frames) * n)
+        rows, cols = (np.broadcast_to(x, blocks.shape) for x in (at[:, :, None], at[:, None, :]))
+        # the ground does not move
+        keep = np.maximum(rows, cols) < self.ev.system.n_frames * n
+        self.data.append(blocks[keep])
+        self.rows.append(rows[keep])
+        self.cols.append(cols[keep])
 
     def matrix(self) -> Any:
         """The sum of all, dense or sparse as G; None without any."""
@@ -205,23 +204,6 @@ def _on_frames(ev: Evaluation, cd: float, ck: float, pushing: bool) -> Iterator[
     if pushing:
         frames, block = _turning_wrenches(ev, reaction_wrenches(ev), ck)
         yield frames, 0.5 * (block + block.swapaxes(1, 2))
-
-
-def _with_blocks(ev: Evaluation, applied: Any, blocks: list[tuple[np.ndarray, Array]]) -> Any:
-    """A tangent (None: 0) and blocks on frames, dense or sparse as G; rows of core parts stay as they are."""
-    s = ev.system
-    n = s.motions.n_twist
-    data, rows, columns = [], [], []
-    for frames, block in blocks:
-        at = (frames[:, :, None] * n + np.arange(n)).reshape(len(frames), frames.shape[1] * n)
-        data.append(block.ravel())
-        rows.append(np.broadcast_to(at[:, :, None], block.shape).ravel())
-        columns.append(np.broadcast_to(at[:, None, :], block.shape).ravel())
-    entries = (np.concatenate(data), (np.concatenate(rows), np.concatenate(columns)))
-    matrix = sp.csr_matrix(entries, shape=(s.n_core, s.n_core))
-    if isinstance(ev.jacobian.core, np.ndarray):
-        matrix = matrix.toarray()
-    return matrix if applied is None else matrix + applied
 
 
 def _turning_wrenches(ev: Evaluation, wrench: Array, weight: float) -> tuple[np.ndarray, Array]:

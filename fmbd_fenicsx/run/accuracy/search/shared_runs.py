@@ -40,7 +40,7 @@ from ..equal_steps import (
     shows_order,
 )
 from ..estimates import looked_at, run_like
-from ..larger_steps import LargerSteps
+from ..larger_steps import two_in_one
 from ..orders import REGULAR, expected_orders, resolved, seen_by_ends
 from .shares import DOUBTED, Allowed
 
@@ -66,7 +66,7 @@ class SharedRuns:
         self._seen: dict[str, float] = {}  # order of each sensor in the last comparison
         # by scene and steps, or tolerance: whole runs that told an error, and may be the next attempt
         self._whole: dict[tuple[int, float], Solved] = {}
-        self.larger = LargerSteps()
+        self._in_one: tuple[Compared, Compared | None] | None = None  # the last run by :meth:`two_in_one`
         self._untold: set[int] = set()  # steps of attempts whose errors no run has told
         self._scenes: list[Scene] = []  # kept alive, so that their ids stay theirs
 
@@ -137,6 +137,12 @@ class SharedRuns:
             self._parted[tuple(scene.breakpoints)] = schedule.steps
             raise
         return self._noted(scene, Compared(marched.recorder, schedule, scheme))
+
+    def two_in_one(self, solved: Solved) -> Compared | None:
+        """The last run with two of its steps in one, see :mod:`..larger_steps`, made once; None where these tell no error."""
+        if self._in_one is None or self._in_one[0] is not solved.compared:
+            self._in_one = solved.compared, two_in_one(solved)
+        return self._in_one[1]
 
     def _refuse_parted(self, scene: Scene, steps: int) -> None:
         """Steps as large as some that failed before are not tried again."""

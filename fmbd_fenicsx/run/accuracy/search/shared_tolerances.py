@@ -21,6 +21,7 @@ from ..estimates import (
     usual_errors,
     usual_power,
 )
+from ..larger_steps import larger_steps_error
 from ..orders import seen_by_ends
 from .shared_runs import SharedRuns, acts, orders_of
 from .shares import DOUBTED, Allowed
@@ -40,7 +41,8 @@ class SharedTolerances(SharedRuns):
         the same few steps.
         """
         problem, given = solved.problem, solved.compared
-        if (found := self.larger.error(solved, allowed)) is not None:
+        two = self.two_in_one(solved)
+        if two is not None and (found := larger_steps_error(solved, two, allowed)) is not None:
             return found
         looser, likely = self._looser(solved, allowed), dict[str, Deviation]()
         first = id(problem.scene) not in self._chosen  # later ones are nearly always small enough

@@ -340,7 +340,7 @@ def _all_at_once(plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, solved
     usual = largest_share(usual_errors(solved.compared), spans, tol)
     if len(plan.below) > 1 or usual > SAFE:
         return False  # levels cost less, or a run with a larger tolerance, which tells that it is far too large
-    if shared.larger.two_in_one(solved) is not None:
+    if shared.two_in_one(solved) is not None:
         return False  # so do runs with larger steps
     found = shared.all_at_once(solved, lambda x: largest_share(x, spans, tol) <= AIM)
     if found is None:
