@@ -152,7 +152,7 @@ def strained(modes: int | None = None) -> fmbd.Scene:
 
 
 def falling_ball() -> fmbd.Scene:
-    """A ball on a spring falls towards a floor, which it has not met yet: a scheme for impacts, of order one there."""
+    """A ball on a spring falls towards a floor, which it has not met yet: a scheme for impacts."""
     scene, ball = (
         fmbd.Scene("ball", gravity=(0.0, -9.81)),
         fmbd.RigidBody("ball", 1.0, 0.01, (0.0, 1.0), velocity=(1.0, 0.0)),

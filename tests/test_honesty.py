@@ -26,7 +26,7 @@ QUICK = (
     "speed of a stiff beam, let go",  # 0.25 by the order of the slow motion after the start
     "tip of a soft beam, let go",  # not stated without a run with half the step
     "acceleration of a rod",  # 5.5 by the order seen alone
-    "spring above the floor, Moreau",  # 3.05 by the order of the scheme
+    "spring above the floor, Moreau",  # 1.68 by order one
 )
 
 

@@ -28,6 +28,7 @@ class Declared:
     ``ends_ahead``: values at the ends of steps are of a higher order than those between them.
     ``takes_given``: under error control it takes steps of any sizes that it is given.
     ``orders``: of positions, velocities, and accelerations with multipliers, where there are any; None: the scheme's in all.
+    ``of_friction``: the most of all of them where contacts or joints have friction, whose slips end within steps; None: the same.
     ``corrects``: of systems without fields, accelerations and multipliers that are read are of the order of velocities.
     ``forgets``: nothing is left after a few steps of vibrations that these do not resolve.
     ``finds_memories``: memories of continuous laws are found as the motion is, in the order of positions; else they go by the
@@ -48,6 +49,7 @@ class Declared:
     refusal: Callable[[Contents], str] | None = None
     turn_limit: float | None = None
     orders: tuple[int, int, int] | None = None
+    of_friction: int | None = None
     ends_ahead: bool = False
     takes_given: bool = False
     corrects: bool = False

@@ -15,7 +15,7 @@ from ...system.scene.refinement import meshed_bodies, modal_bodies
 from ...system.scene.scene import Scene
 from ..schedule import far_side
 from .deviation import added_up
-from .orders import expected_orders, irregular, kink, rough
+from .orders import expected_orders, highest_order, irregular, kink, rough
 
 if TYPE_CHECKING:
     from ..result import Run
@@ -181,7 +181,7 @@ def _uncertain_in_time(run: Run, stated: Statement) -> list[str]:
             "or a scheme that chooses its steps (rtol)"
         ]
 
-    if not irregular((order, run.scheme.order), seen, (stated.time or 0.0) / stated.span):
+    if not irregular((order, highest_order(run.scheme, run.system)), seen, (stated.time or 0.0) / stated.span):
         return []
     return [
         f'the error of time of "{stated.sensor}" is uncertain: runs with other steps show the order {seen:.1f}, {order} is '

@@ -24,6 +24,7 @@ from .orders import (
     SEEN,
     TOO_HIGH,
     expected_orders,
+    highest_order,
     irregular,
     of_the_scheme,
     order_seen,
@@ -101,7 +102,7 @@ def time_error(problem: Problem, fine: Recorder, schedule: StepSchedule, *, kink
             log.warning("no error estimate: the run with twice the step did not end: %s", error)
             return TimeError({}, {}, given)
 
-    if not found.halved and (kinked or _irregular(problem.scheme.order, orders, fine, found)):
+    if not found.halved and (kinked or _irregular(highest_order(problem.scheme, problem.system), orders, fine, found)):
         found = _by_smaller_steps(problem, given, coarser[:1], orders, found if kinked else None) or found
     return found if found.with_others is given else replace(found, with_others=coarser[0])
 
@@ -151,9 +152,10 @@ def by_half(
     orders = compare_steps(expected, finer, [given, *coarser]).orders
     errors = _left_by(given, finer.recorder, expected, orders)
     if larger is not None:
+        highest = highest_order(given.scheme, given.recorder.system)
         for name, span in moving(given.recorder.series, given.recorder.scene.sensors).items():
             share, other = errors[name].size / span, larger.errors[name]
-            doubted = irregular((expected[name], given.scheme.order), orders[name], max(share, other.size / span))
+            doubted = irregular((expected[name], highest), orders[name], max(share, other.size / span))
             most = max(FURTHER, 1.0 / share) if doubted and share > 0.0 else FURTHER
             errors[name] = at_least(errors[name], other, most)
     return TimeError(errors, orders, given, halved=True, struck=instants_off(given.recorder, finer.recorder, 2.0))

@@ -42,7 +42,7 @@ def expected_orders(scheme: Any, scene: Scene, system: System) -> dict[str, int]
     of_index_3 = keeps_volumes and isinstance(scheme, OfForm)
     said = Declared.by(scheme)
     of_volumes = Declared.by(replace(scheme, form=Index3())) if of_index_3 else said
-    orders = of_volumes.orders if system.blocks or keeps_volumes else None
+    orders = of_volumes.orders if system.blocks or system.contacts is not None or keeps_volumes else None
     known = (scheme.order,) * 3 if orders is None else orders
     if said.corrects and not system.fields:
         known = (*known[:2], known[1])
@@ -50,8 +50,15 @@ def expected_orders(scheme: Any, scene: Scene, system: System) -> dict[str, int]
     found = collocated(system) if said.finds_memories else []
     left = [keeper for keeper in system.keepers if keeper not in found]
     remembers = any(len(keeper.memory_values()) for keeper in left) or seen_by_ends(system)
-    highest = OF_MEMORIES if remembers else max(known)
+    highest = min(OF_MEMORIES if remembers else max(known), highest_order(scheme, system))
     return {name: min(known[sensor.derivative], highest) for name, sensor in scene.sensors.items()}
+
+
+def highest_order(scheme: Any, system: System) -> int:
+    """The order of a scheme in positions, with what rubs in a system."""
+    lowered = Declared.by(scheme).of_friction
+    rubs = seen_by_ends(system) or (system.contacts is not None and system.contacts.frictional)
+    return int(lowered if rubs and lowered is not None else scheme.order)
 
 
 def seen_by_ends(system: System) -> bool:
@@ -85,7 +92,7 @@ def usable_order(p: float, order: float) -> float:
     Below that of the scheme p is a mixture: slow motion has the order of the scheme, fast motion is off by about its own size
     with the larger steps, so that its differences do not grow with them. Errors by p and by the order of the scheme differ by a
     factor of up to seven, with the truth between them; an order between them is not far from either. Above it motion may converge
-    faster than the scheme has to (that for impacts, between them), or larger steps do not follow it yet: what is more than a half
+    faster than the scheme has to (with friction, off slips), or larger steps do not follow it yet: what is more than a half
     above counts, up to a half.
     """
     if np.isnan(p):

@@ -55,11 +55,21 @@ class Moreau:
 
     impacts: int = 20
     early: bool = True
-    order = 1
+    of_friction = 1
     name = "Moreau-Jean"
 
     def __post_init__(self) -> None:
         whole("Moreau: impacts", self.impacts)
+
+    @property
+    def order(self) -> int:
+        """Without friction; classical time stepping, with impacts at ends of steps, has order 1."""
+        return 2 if self.impacts else 1
+
+    @property
+    def orders(self) -> tuple[int, int, int]:
+        """Forces are means of their steps, and are read at the ends."""
+        return self.order, self.order, 1
 
     def refusal(self, held: Contents) -> str:
         """Why it does not take what a scene holds."""

@@ -30,7 +30,7 @@ from ..equal_steps import FEWEST, NEAREST, Orders
 from ..estimates import usual_power
 from ..jumps_in_time import jumps_about_kinks, with_break_points
 from ..larger_steps import MEAN_ORDER, SLOW
-from ..orders import MOST_LEFT, expected_orders, resolved, seen_by_ends
+from ..orders import MOST_LEFT, expected_orders, highest_order, resolved, seen_by_ends
 from .shared_spaces import SharedSpaces
 from .shares import AIM, ITERATED, WHOLE, Tolerance, check_floor, largest_share, share
 from .space_levels import UNENDED
@@ -418,7 +418,7 @@ def _order(run: Run, tol: Tolerance) -> tuple[float, bool]:
     known = {n: p for n, p in seen.items() if np.isfinite(p)}
     if not known:
         return float(min(orders[n] for n in tol)), True
-    return float(np.clip(min(known.values()), 0.5, run.scheme.order)), resolved(known, orders)
+    return float(np.clip(min(known.values()), 0.5, highest_order(run.scheme, run.system))), resolved(known, orders)
 
 
 def _whole_run(plan: AttemptPlan) -> AttemptPlan:

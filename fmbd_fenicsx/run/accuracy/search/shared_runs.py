@@ -41,7 +41,7 @@ from ..equal_steps import (
 )
 from ..estimates import looked_at, run_like
 from ..larger_steps import two_in_one
-from ..orders import REGULAR, expected_orders, resolved, seen_by_ends
+from ..orders import REGULAR, expected_orders, highest_order, resolved, seen_by_ends
 from .shares import DOUBTED, Allowed
 
 FARTHEST = 8.0  # ratio of steps up to which a run tells the error of one with smaller steps
@@ -225,7 +225,7 @@ class SharedRuns:
         there = self._whole.get(key)
         if there is not None and coarser and not kinked(solved.run) and not kinked(there.run):
             found = compare_steps(orders, finer, [given, *coarser])
-            if shows_order(found, (orders, given.scheme.order), sensors):
+            if shows_order(found, (orders, highest_order(given.scheme, solved.problem.system)), sensors):
                 return replace(found, instead=self._whole.pop(key))
         return by_half(orders, given, finer, coarser=coarser, larger=larger)
 

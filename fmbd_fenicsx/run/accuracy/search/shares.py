@@ -15,7 +15,7 @@ from ....system.scene.scene import Scene
 from ..certificate import FLOOR, Certificate, Statement, moving
 from ..deviation import Deviation
 from ..equal_steps import ASTRAY
-from ..orders import expected_orders, of_the_scheme
+from ..orders import expected_orders, highest_order, of_the_scheme
 
 if TYPE_CHECKING:
     from ...result import Run
@@ -155,7 +155,7 @@ def alone(run: Run, made: Certificate, tol: Tolerance) -> bool:
     """Whether no run with other steps shows the motion of a run, and its error is more than a tenth of what a sensor does: that
     of many periods within few steps may be any.
     """
-    orders, highest = expected_orders(run.scheme, run.scene, run.system), run.scheme.order
+    orders, highest = expected_orders(run.scheme, run.scene, run.system), highest_order(run.scheme, run.system)
     astray = [n for n in tol if (made[n].time or 0.0) > ASTRAY * made[n].span > 0.0]
     return any(not of_the_scheme((orders[n], highest), run.observed_order.get(n, np.nan)) for n in astray)
 
