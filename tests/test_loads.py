@@ -18,6 +18,7 @@ from fmbd_fenicsx.fem.loads import Load, body_force, pressure, thermal_stress, t
 from fmbd_fenicsx.materials import linear_elastic, saint_venant_kirchhoff
 from fmbd_fenicsx.mechanics.elastic.floating import FloatingField
 from fmbd_fenicsx.mechanics.placements import Attached, FrameMotion, MeanAxis
+from fmbd_fenicsx.mechanics.reduction.craig_bampton import CraigBampton, RefinedBasis
 from fmbd_fenicsx.mechanics.reduction.reduced import ReducedPart
 from fmbd_fenicsx.rotations import motions
 
@@ -131,6 +132,28 @@ def test_thermal_stretch(rod_mesh: Callable[..., Any]) -> None:
         scene.sensor(end, fmbd.position(body.surface(end)))
     run = fmbd.solve(scene, t_end=1.0, dt=5e-3)
     np.testing.assert_allclose(run["tip"][-1, 0] - run["pin"][-1, 0] - 1.0, strain, rtol=1e-3)
+
+
+@pytest.mark.mpi
+def test_bases_without_the_strains_of_heat_say_so(
+    rod_mesh: Callable[..., Any], caplog: pytest.LogCaptureFixture
+) -> None:
+    """Modes of the ends give the length of a warm rod, none of its width; with its static displacement in them all is there."""
+    heat = thermal_stress(lambda x: MODULUS * fmbd_identity(2))
+    body = rod(rod_mesh(dim=2, h=0.25), heat)
+    ends = CraigBampton(("pin", "tip"), 2)
+    work, told = {}, {}
+    for name, basis in (("ends", ends), ("heat", RefinedBasis(ends, ("pin", "tip")))):
+        caplog.clear()
+        made = body.reduced(basis=basis).constants
+        ((_, tensor),) = made.loads
+        pushes = np.trace(tensor, axis1=1, axis2=2)[1:]
+        work[name] = float(pushes**2 @ (1.0 / np.diag(made.K)))
+        told[name] = "of the strain energy of an internal load" in caplog.text
+    # plane strain: both strains alike, as both stresses are
+    exact = 2 * (1 + 0.3) * (1 - 2 * 0.3) * MODULUS * 0.1
+    assert work["heat"] == pytest.approx(exact, rel=1e-6) and work["ends"] < 0.8 * exact
+    assert told == {"ends": True, "heat": False}
 
 
 @pytest.mark.mpi

@@ -33,6 +33,7 @@ from .reduced import ModalBody, ReducedConstants, SurfaceData, constants_of
 
 SMALL = 10_000  # unknowns of a field up to which its matrices and factors, some megabytes, are kept beside its modes
 LEFT_OUT = 1e-4  # share of the mean square of an initial displacement above which modes that miss it are warned of
+STRAINS_LEFT_OUT = 0.05  # share of the strain energy under an internal load that a basis may lack in silence
 
 
 @dataclass(frozen=True)
@@ -301,6 +302,8 @@ def reduce_body(
 
     K, phi = orthonormal_modes(f, V, frame) if V.shape[1] else (np.zeros((0, 0)), np.zeros((f.n * f.dim, 0)))
 
+    if V.shape[1]:
+        _tell_strains_left_out(f, frame, K, phi)
     constants = _constants(body, f, K, phi, stress)
 
     start = framed_start(body, f, frame)
@@ -356,6 +359,30 @@ def _surface(f: Field, name: str, phi: Array, stress: Stiffening | None, held_at
     ports = f.total(by_mode.reshape((1 + d) * d, m))
     bend = stress.modal(phi, stress.section_columns[name]) if stress and name != held_at else None
     return SurfaceData(mom.reference, ports, mom.center, bend)
+
+
+def _tell_strains_left_out(f: Field, frame: Array, K: Array, phi: Array) -> None:
+    """A warning where the modes phi do not deform as internal loads at rest do; collective. The full body has the work b . u,
+    its modes sum (phi_k . b)^2 / K_kk: surfaces may move as they should without the strains between them.
+    """
+    from ..elastic.modes import ConditionedBody
+
+    given = [b.ravel() for load, b in f.loads.fixed if load.internal]
+    if not given:
+        return
+    B, body = np.stack(given, axis=1), ConditionedBody(f, frame)
+    whole = f.total((B * body.solve_static(B)).sum(axis=0))
+    body.destroy()
+    held = (f.total(phi.T @ B) ** 2 / np.diag(K)[:, None]).sum(axis=0)
+    left = float(np.max(1.0 - held[whole > 0] / whole[whole > 0], initial=0.0))
+    if left > STRAINS_LEFT_OUT:
+        log.warning(
+            'body "%s": its %d modes leave out %.2g of the strain energy of an internal load, and strains and stresses lack it. '
+            "Record these of the full body",
+            f.name,
+            phi.shape[1],
+            left,
+        )
 
 
 def _amplitudes(f: Field, U: Array, phi: Array) -> Array:
