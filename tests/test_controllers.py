@@ -83,6 +83,20 @@ def test_other_schemes_agree(scheme: Any) -> None:
     assert np.abs(run["elbow"][:, 0] - exact[:, 1]).max() < 1e-3
 
 
+@pytest.mark.parametrize("scheme", [fmbd.Radau(rtol=1e-6), fmbd.BDF(rtol=1e-5)], ids=["Radau", "BDF"])
+def test_pid_between_its_limits_is_a_linear_law(scheme: Any) -> None:
+    """Its slopes, which a tangent has, tell all that its effort changes by, however small it is: no step is taken anew."""
+    scene = fmbd.Scene("arm", gravity=(0, -9.81))
+    before: Any = fmbd.ground
+    for i in range(12):
+        link = fmbd.RigidBody(f"link {i}", 1.0, 0.1, position=(i + 0.5, 0.0))
+        hinge = fmbd.revolute(f"hinge {i}", before, link, center=(i, 0))
+        scene.add(link, hinge, fmbd.pid(f"motor {i}", fmbd.angle(hinge), target=0.0, gains=(1e4, 10.0, 10.0)))
+        before = link
+    run = fmbd.solve(scene, t_end=0.3, scheme=scheme)
+    assert run.counters["jacobians"] < 0.15 * run.counters["steps"]
+
+
 def test_sampled_pid_holds_its_effort() -> None:
     """Each effort is the formula of the sample, kept for one period of four steps."""
     run = fmbd.solve(arm(every=0.02), t_end=0.4, dt=5e-3)

@@ -20,7 +20,8 @@ from ..evaluation import Evaluation
 from ..system import System
 from .foretold_efforts import foretold_efforts
 
-SETTLED, BENDS = constants("implicit/bends.c", "SETTLED", "BENDS")
+(SETTLED,) = constants("implicit/bends.c", "SETTLED")
+(BENDS,) = constants("parts.h", "BENDS")
 
 
 def laws_that_bend(system: System) -> list[ScalarLoads]:

@@ -240,6 +240,15 @@ int take_slopes(System *s, Batch *k, double t);
 int control_effort(System *s, Batch *k, double t);
 const double *read_all(const System *s);
 static const double OF_THE_LAW = 0.1; /* share of N that a change worth looking at is of */
+static const double BENDS = 0.03;     /* share by which slopes of a law differ that bends */
+
+/* The steeper of two slopes that differ, else 0. */
+static inline double steeper(double one, double other)
+{
+    const double steepest = fabs(other) > fabs(one) ? other : one;
+    return fabs(one - other) > BENDS * fabs(steepest) ? steepest : 0.0;
+}
+
 /* The line of item i at a point of a step. */
 static inline double *line_of(const Batch *k, int point, long i) { return k->line + LINE * (point * k->n + i); }
 int undecided(System *s, double unit, const double *x);

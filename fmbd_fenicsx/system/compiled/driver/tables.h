@@ -398,7 +398,8 @@ typedef struct {
     int indefinite;                    /* whether the tangent of a field may be so: of bodies that buckle */
     int point, bent;                   /* which of a step is evaluated; whether the slopes of all laws are asked for at all points */
     long begun;                        /* the evaluation of its first iterate */
-    int swung;                         /* whether a law changed much since the last iterate */
+    int swung;                         /* whether a law changed since the last iterate by much that the tangent does not tell */
+    const double *noted;               /* slopes of formulas in the tangent of an implicit step, see note_slopes(); NULL else */
     int iterate, bridged;              /* what is evaluated: ON_ITS_OWN ..; whether laws count as lines at the newest iterate */
     int leaves_out;                    /* whether the matrix lacks terms of the motion of a body, see secants.c */
     const double *from;                /* where a step begins whose mean forces fields tell in place of those of a state; NULL else */

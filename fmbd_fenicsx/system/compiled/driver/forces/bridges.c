@@ -123,16 +123,26 @@ static int cross_hidden(System *s, Batch *k, Law *law, const void *how, double t
     return verdict;
 }
 
+/* Slopes that the tangent of an implicit step has of the laws of a batch: n x 2. */
+static const double *noted_of(const System *s, const Batch *k)
+{
+    const double *noted = s->noted;
+    for (const Batch *b = s->batch; b < k; b++) noted += b->role == FORMULA ? 2 * b->n : 0;
+    return noted;
+}
+
 /* What the next iterate is compared with; laws that count as lines become these. */
 static void keep_lines(System *s, Batch *k)
 {
+    const double *noted = k->role == FORMULA && s->noted ? noted_of(s, k) : NULL;
     const double known = OF_THE_LAW * largest(k->effort, (int)k->n);
     const int sloped = k->role == FORMULA || k->sloped >= s->begun;
     for (long i = 0; i < k->n; i++) {
         double *line = line_of(k, s->point, i);
         const double here[LINE] = {k->s[i], k->rate[i], k->effort[i], k->stiffness[i], k->damping[i]};
-        const double along = k->stiffness[i] * (here[0] - line[0]) + k->damping[i] * (here[1] - line[1]);
-        const double foretold = line[2] + (k->role == LAW ? along : 0.0); /* by slopes that the tangent has */
+        const double along = here[3] * (here[0] - line[0]) + here[4] * (here[1] - line[1]);
+        const int told = k->role == LAW || (noted && !steeper(noted[2 * i], here[3]) && !steeper(noted[2 * i + 1], here[4]));
+        const double foretold = line[2] + (told ? along : 0.0); /* by slopes that the tangent has */
 
         if (s->iterate == FOLLOWING && fabs(foretold - k->effort[i]) > known) s->swung = 1;
         if (!k->bridges[i]) {

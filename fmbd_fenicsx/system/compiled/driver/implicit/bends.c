@@ -7,7 +7,6 @@
 
 enum { MOST_BENT = 240 };               /* laws times points */
 static const double SETTLED = 1e-4;    /* share of N that the last increment may change it by */
-static const double BENDS = 0.03;      /* share by which slopes of a law differ that bends */
 enum { BENT = 100 };                   /* a verdict: the tangent at hand has slopes of such laws */
 
 typedef struct {
@@ -16,13 +15,6 @@ typedef struct {
     int point;
     double stiffness, damping, effort;
 } Bend;
-
-/* The steeper of two slopes that differ, else 0. */
-static double steeper(double one, double other)
-{
-    const double steepest = fabs(other) > fabs(one) ? other : one;
-    return fabs(one - other) > BENDS * fabs(steepest) ? steepest : 0.0;
-}
 
 /* All laws at all points that have slopes, or formulas alone whose slopes there and in the tangent ``differ``, with the steeper ones;
    -1: there may be too many. */

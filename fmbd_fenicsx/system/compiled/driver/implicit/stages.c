@@ -395,7 +395,9 @@ static void add_increments(Stages *o)
 static int stage_increment(System *s, Stages *o, int increments)
 {
     const int k = o->points;
+    s->noted = o->slopes;
     int verdict = stage_residuals(s, o, increments);
+    s->noted = NULL;
     if (verdict) return verdict;
     if ((s->bridged || s->swung) && !s->bent && o->iterate == FOLLOWING) return BENT;
     if ((verdict = solve_points(s, o)) || (s->bent && (verdict = across_bends(s, o)))) return verdict;
