@@ -26,7 +26,7 @@ from ...schedule import StepSchedule, step_schedule
 from ..certificate import FLOOR, KINDS, Certificate, moving
 from ..companion_runs import UNFIT
 from ..deviation import Deviation
-from ..equal_steps import FEWEST, NEAREST, Orders
+from ..equal_steps import NEAREST, Orders
 from ..estimates import usual_power
 from ..jumps_in_time import jumps_about_kinks, with_break_points
 from ..larger_steps import MEAN_ORDER, SLOW
@@ -39,7 +39,6 @@ if TYPE_CHECKING:
     from .attempts import Attempt
 
 LEAST = 0.65  # of smaller changes of the step the runs cost more than they save
-LEAST_UNSEEN = 0.5  # the same where the order of the scheme was not seen
 NEAR, FAR = 1 / 4, 1 / 128  # most that a step is made smaller at once, without and with the order of the scheme seen
 HALF, LATER = 0.45, 0.3  # shares for time beside an error in space that is not known yet: allowed, and brought below
 BOTH = 0.6  # part of it for each of space and modes, where there are both
@@ -50,7 +49,6 @@ SURE = 0.7  # of a tolerance, or an error, that is thought to be small enough, w
 # the same of steps of high orders that a scheme has chosen, whose error larger ones tell by less beside refused ones
 SURER = 0.4
 FALLS = 1.1  # ratio by which errors in space have to fall when meshes are refined
-WORTH = 4  # times the fewest steps of runs that tell errors: what is made after a first look
 LAST = 10.0 * FINEST  # tolerance of a scheme of which a run with a tenth tells the error
 MANY = 32  # grains above which numbers of steps are rounded to four
 
@@ -159,7 +157,7 @@ def space_first(plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, wanted:
         made = _finer_meshes(plan, over, limit, shared)
     except InputError:
         return None  # the whole attempt tells why
-    return Looked(_whole_run(made), {n: errors[n].size for n in tol}, over)
+    return Looked(made, {n: errors[n].size for n in tol}, over)
 
 
 def next_plan(
@@ -287,8 +285,7 @@ def _finer_spaces(
         made = replace(made, scene=scene, modes=made.modes + 1, below=tuple(below))
         done.append("more modes")
 
-    made = replace(made, known=_still_known(plan, made, run, over, limits))
-    return (_whole_run(made) if made.steps else made), done
+    return replace(made, known=_still_known(plan, made, run, over, limits)), done
 
 
 def jumps_before(plan: AttemptPlan, shared: SharedSpaces) -> tuple[float, ...]:
@@ -394,9 +391,9 @@ def _factor(
     now, wanted = shares
     if plan.steps:
         order, regular = _order(run, tol)
-        most, least = (FAR, LEAST) if regular else (NEAR, LEAST_UNSEEN)
+        most = FAR if regular else NEAR
         sure = SURE if run.halved and _none_seen(run, tol) else 1.0  # larger ones do not even end, or have kinks
-        return float(np.clip((sure * wanted / now) ** (1.0 / order), most, least))
+        return float(np.clip((sure * wanted / now) ** (1.0 / order), most, LEAST))
 
     # errors of controlled runs follow the tolerance with a slope of their own
     same = [a for a in history if (a.meshes, a.modes) == (plan.meshes, plan.modes)]
@@ -419,12 +416,6 @@ def _order(run: Run, tol: Tolerance) -> tuple[float, bool]:
     if not known:
         return float(min(orders[n] for n in tol)), True
     return float(np.clip(min(known.values()), 0.5, highest_order(run.scheme, run.system))), resolved(known, orders)
-
-
-def _whole_run(plan: AttemptPlan) -> AttemptPlan:
-    """The plan with as many steps as a run has beside which those that tell its errors, of a quarter of them, cost little."""
-    least = -(-WORTH * FEWEST // plan.grain) * plan.grain
-    return plan if plan.steps >= least else replace(plan, schedule=plan.schedule.with_steps(least))
 
 
 def finer_steps(plan: AttemptPlan, factor: float) -> AttemptPlan:
