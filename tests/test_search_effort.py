@@ -19,7 +19,7 @@ from fmbd_fenicsx.errors import ConvergenceError, PartsError
 from fmbd_fenicsx.linear import configuration_warnings
 from fmbd_fenicsx.materials import linear_elastic
 from fmbd_fenicsx.run import single_run, time_loop
-from fmbd_fenicsx.run.accuracy import beside_steps, companion_runs, equal_steps, jumps_in_time, larger_steps
+from fmbd_fenicsx.run.accuracy import beside_steps, companion_runs, equal_steps, jumps_in_time
 from fmbd_fenicsx.run.accuracy.deviation import Deviation
 from fmbd_fenicsx.run.accuracy.search import (
     attempts,
@@ -396,7 +396,7 @@ def test_a_third_of_a_tolerance_tells_nothing_of_steps_that_kinks_refuse(monkeyp
         return told(*given, **how)
 
     monkeypatch.setattr(shared_tolerances, "tolerance_error", noted)
-    monkeypatch.setattr(larger_steps, "two_in_one", lambda solved: None)
+    monkeypatch.setattr(shared_runs, "two_in_one", lambda solved: None)
     for scene in (at_a_stop(), pendulum()):
         fmbd.solve(scene, t_end=1.0, tol={"x": 1e-3}, scheme=fmbd.Radau(2), output=fmbd.Output(progress=False))
     assert smooth == [False, True]
@@ -416,7 +416,7 @@ def test_a_tenth_of_a_tolerance_that_tells_too_large_an_error_is_the_next_attemp
 
     for module in (single_run, companion_runs):
         monkeypatch.setattr(module, "march", counted)
-    monkeypatch.setattr(larger_steps, "two_in_one", lambda solved: None)
+    monkeypatch.setattr(shared_runs, "two_in_one", lambda solved: None)
     output = fmbd.Output(progress=False, on_step=(lambda now: None) if called else None)
     scheme = fmbd.BDF(rtol=1e-4)
     run = fmbd.solve(pendulum(), t_end=2.0, tol={"x": 6e-4}, scheme=scheme, output=output)
