@@ -76,7 +76,7 @@ def force_tangent(ev: Evaluation, cd: float, ck: float) -> ForceTangent | None:
             right.append(J.T @ (Vt[keep].T * root))
 
     for frames, blocks in _on_frames(ev, cd, ck, pushing):
-        entries.add_blocks(frames.T, blocks)
+        entries.add_blocks(list(frames.T), blocks)
     core = entries.matrix()
     if core is None and not left:
         return None
