@@ -159,11 +159,12 @@ class _Entries:
         """Elements between markers on frames, of those that ``which`` selects."""
         if not which.any():
             return
-        jac = [self.ev.kin.jac_frame[m[which]] for m in markers]
-        size = jac[0].shape[1]
-        T = T[which].reshape(-1, len(jac), size, len(jac), size)
-        blocks = [[a.swapaxes(1, 2) @ T[:, i, :, j] @ b for j, b in enumerate(jac)] for i, a in enumerate(jac)]
-        self.add_blocks([self.ev.system.markers.frame[m[which]] for m in markers], np.block(blocks))
+        jac = np.stack([self.ev.kin.jac_frame[m[which]] for m in markers], axis=1)
+        count, k, size, n = jac.shape
+        half = jac.swapaxes(2, 3) @ T[which].reshape(count, k, size, k * size)
+        blocks = half.reshape(count, k, n, k, size).swapaxes(2, 3) @ jac[:, None]
+        blocks = blocks.swapaxes(2, 3).reshape(count, k * n, k * n)
+        self.add_blocks([self.ev.system.markers.frame[m[which]] for m in markers], blocks)
 
     def add_blocks(self, frames: Sequence[np.ndarray], blocks: Array) -> None:
         """Blocks (m, k n_twist, k n_twist) on frames, k times (m,)."""
