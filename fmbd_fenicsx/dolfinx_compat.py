@@ -266,9 +266,15 @@ def integrals_of(form: Any) -> list[tuple[int, np.ndarray, np.ndarray | None, np
 
 def constants_of(form: Any) -> np.ndarray:
     """The constants of a compiled form as its functions read them, one behind the other."""
+    return reader_of_constants(form)()
+
+
+def reader_of_constants(form: Any) -> Callable[[], np.ndarray]:
+    """Reads :func:`constants_of` a form, whenever it is called."""
     from dolfinx import cpp
 
-    return np.array(cpp.fem.pack_constants(form._cpp_object))
+    inner = form._cpp_object
+    return lambda: np.array(cpp.fem.pack_constants(inner))
 
 
 def functions_of(form: Any) -> list[Any]:

@@ -17,14 +17,15 @@ class GivenNumbers:
     """The values that compiled ``forms`` of a body had when they were assembled; ``placed``: functions that are no user's."""
 
     def __init__(self, comm: Any, forms: Iterable[Any], placed: Iterable[Any] = ()) -> None:
-        self.comm, self._forms = comm, list(forms)
+        self.comm, given = comm, list(forms)
         own = {id(u._cpp_object) for u in placed if u is not None}
-        found = {id(u): u for form in self._forms for u in compat.functions_of(form)}
+        found = {id(u): u for form in given for u in compat.functions_of(form)}
         self._functions = [u for k, u in found.items() if k not in own]
+        self._constants = [compat.reader_of_constants(form) for form in given]
         self._kept = [x.copy() for x in self._now()]
 
     def _now(self) -> list[Array]:
-        return [*map(compat.constants_of, self._forms), *(u.x.array for u in self._functions)]
+        return [*(constants() for constants in self._constants), *(u.x.array for u in self._functions)]
 
     def refuse_changed(self, body: str, since: str, instead: str) -> None:
         """Refuse others than those that were kept ``since`` something, with what to do ``instead``; collective.
