@@ -210,6 +210,8 @@ def test_a_rotor_in_elastic_bearings_has_an_angle() -> None:
     assert scene.check().freedom == 3
     run = fmbd.solve(scene, t_end=4.0, dt=0.01)
     assert run["angle"][-1] == pytest.approx(0.5 * 5.0 * 4.0**2, rel=1e-9)
+    with pytest.raises(InputError, match='"turn": planar takes no normal in the plane'):
+        fmbd.planar("turn", fmbd.ground, rotor, normal=(0, 0, 1))
 
 
 # -- input ---------------------------------------------------------------------------------------------------

@@ -52,7 +52,7 @@ class Factor:
         try:
             self.factor = direct(E, field.dim, definite)
         except IndefiniteError as error:
-            if not (definite and field.nonlinear):
+            if not (definite and field.extended):
                 raise LinearSolveError(
                     f'Body "{field.name}": the elastic block cm M + ck K (cm = {cm:.3g}, ck = {ck:.3g}) could not be factored '
                     f"({error}). Check density and moduli for their signs and units."

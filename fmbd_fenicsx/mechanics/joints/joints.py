@@ -270,14 +270,18 @@ def cylindrical(name: str, a: Any, b: Any, *, axis: Vector, center: Vector | Non
 
 
 @typed
-def planar(name: str, a: Any, b: Any, *, normal: Vector = UPRIGHT, center: Vector | None = None) -> Joint:
+def planar(name: str, a: Any, b: Any, *, normal: Vector | None = None, center: Vector | None = None) -> Joint:
     """b slides and turns in the plane through ``center`` with the given normal (fixed in a): 3 rows in space; in the plane none,
     where it is for its :func:`angle`, say that of a rotor in elastic bearings.
 
-    ``normal``: world, at the start; of no use in the plane. Other arguments as of :func:`fixed`.
+    ``normal``: in space, world, at the start; by default the third axis. Other arguments as of :func:`fixed`.
     """
     dim = dimension(a, b, name)
-    E = basis(normal, name, dim)
+    require(
+        dim == 3 or normal is None,
+        f'Joint "{name}": planar takes no normal in the plane, where all bodies slide and turn.',
+    )
+    E = basis(UPRIGHT if normal is None else normal, name, dim)
     return _joint((name, "planar", a, b), center, [Row(ct.Along, E[2]), *_upright(E)] if dim == 3 else [], E[2])
 
 
