@@ -300,9 +300,10 @@ def reduce_body(
         stress = Stiffening(f, attachment(f, body.held_at), [s for s in f.mesh.surface_names if s != body.held_at])
         V = np.concatenate((V, stress.columns), axis=1)  # the stretch of steady rotation is then exact
 
-    K, phi = orthonormal_modes(f, V, frame) if V.shape[1] else (np.zeros((0, 0)), np.zeros((f.n * f.dim, 0)))
-
+    K: Array = np.zeros((0, 0))
+    phi: Array = np.zeros((f.n * f.dim, 0))
     if V.shape[1]:
+        K, phi = orthonormal_modes(f, V, frame)
         _tell_strains_left_out(f, frame, K, phi)
     constants = _constants(body, f, K, phi, stress)
 

@@ -161,6 +161,7 @@ class _Entries:
             return
         jac = np.stack([self.ev.kin.jac_frame[m[which]] for m in markers], axis=1)
         count, k, size, n = jac.shape
+        # J_a^T T_ab J_b of all pairs of sides at once
         half = jac.swapaxes(2, 3) @ T[which].reshape(count, k, size, k * size)
         blocks = half.reshape(count, k, n, k, size).swapaxes(2, 3) @ jac[:, None]
         blocks = blocks.swapaxes(2, 3).reshape(count, k * n, k * n)

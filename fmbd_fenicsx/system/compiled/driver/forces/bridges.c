@@ -123,7 +123,7 @@ static int cross_hidden(System *s, Batch *k, Law *law, const void *how, double t
     return verdict;
 }
 
-/* Slopes that the tangent of an implicit step has of the laws of a batch: n x 2. */
+/* Slopes that the tangent of an implicit step has of the formulas of a batch, n x 2, in the order of note_slopes(). */
 static const double *noted_of(const System *s, const Batch *k)
 {
     const double *noted = s->noted;
