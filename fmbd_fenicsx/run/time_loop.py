@@ -178,7 +178,6 @@ class Loop:
             if self.watchers:
                 self._look()
             while not self.schedule.ended(self.state.t, self.progress.done):
-                self.problem.system.refuse_changed_forms()
                 made, seen = self._equal_steps() if self.schedule.steps else self._chosen_step()
                 self._count(made)
                 if self.watchers:

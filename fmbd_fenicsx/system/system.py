@@ -13,6 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
+from ..fem.given_numbers import GivenNumbers, refuse_changed
 from ..rotations import Array
 from . import configurations
 from .evaluation import Evaluation
@@ -68,6 +69,8 @@ class System(Measured):
         Raises:
             InputError: a constant or a function of the user's has changed.
         """
-        for part in self.parts:
-            if part.numbers is not None:
-                part.numbers.refuse_changed(part.name, "the scene was built", CHANGES_ON_THE_WAY)
+        refuse_changed(self._given_numbers, "the scene was built", CHANGES_ON_THE_WAY)
+
+    @cached_property
+    def _given_numbers(self) -> dict[str, GivenNumbers]:
+        return {part.name: part.numbers for part in self.parts if part.numbers is not None}

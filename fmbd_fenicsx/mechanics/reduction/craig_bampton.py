@@ -285,7 +285,9 @@ def reduce_body(
 
     if body.elastic is None:
         raise InputError(f'Body "{body.name}": modes need the linear form elastic(u, v, dx), not an energy.')
-    f = known.field if known is not None and known.field is not None else _new_field(body)
+    f = known.field if known is not None and known.field is not None else make_field(body.name, body.mesh, body.forms())
+    if f.kept_factors is None:
+        f.kept_factors = {}  # all that follows solves with the same one
     if known is not None:
         f.known_moments.update(known.moments)
 
@@ -309,19 +311,11 @@ def reduce_body(
 
     start = framed_start(body, f, frame)
     local = _amplitudes(f, start.U, phi), _amplitudes(f, start.Ud, phi)
-    # modes live on nodes of the space: it outlives the field's matrices
-    kept = f if f.kept_factors is not None else None
-    if kept is None:
-        f.destroy()
-    return Reduction(constants, phi, f.space, local, (start.pose, start.twist), f.known_moments, kept)
-
-
-def _new_field(body: Any) -> Field:
-    """The field of a body; with factors that are kept where it is small, so that its refined basis finds both there."""
-    f = make_field(body.name, body.mesh, body.forms())
-    if f.n_global <= SMALL and f.comm.size == 1 and not body.held_at:
-        f.kept_factors = {}
-    return f
+    # a refined basis finds small ones here
+    kept = f.n_global <= SMALL and f.comm.size == 1 and not body.held_at
+    if not kept:
+        f.destroy()  # its space, on whose nodes modes live, outlives it
+    return Reduction(constants, phi, f.space, local, (start.pose, start.twist), f.known_moments, f if kept else None)
 
 
 def _constants(body: Any, f: Field, K: Array, phi: Array, stress: Stiffening | None) -> ReducedConstants:

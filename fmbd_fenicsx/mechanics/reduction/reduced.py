@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import ConvergenceError
-from ...fem.given_numbers import GivenNumbers
+from ...fem.given_numbers import GivenNumbers, refuse_changed
 from ...fem.loads import turned_virial
 from ...rotations import Array, axial, hat, motions, spin_matrix
 from ..body import MODES, Body, Placed, Site
@@ -102,7 +102,7 @@ def reduced_part(body: Any, frame: int, surfaces: Sequence[str]) -> ReducedPart:
     part = ReducedPart(body.name, body.constants, frame, surfaces)
     part.body = body
     if part.numbers is not None:
-        part.numbers.refuse_changed(body.name, "the body was reduced", "Reduce it anew.")
+        refuse_changed({body.name: part.numbers}, "the body was reduced", "Reduce it anew.")
     return part
 
 
