@@ -24,7 +24,8 @@ from ..checks import check_fields
 from ..errors import require
 from ..ranks import rank_sum
 from ..rotations import Array
-from ..system.element_memory import worst
+from ..system.control.memory_points import StepError
+from ..system.element_memory import collocated
 from ..system.layout import State
 from ..system.lengths import farthest
 from ..system.serialisation import Memory, Remembering, plain
@@ -36,6 +37,12 @@ from .rigid_motions import RigidMotions
 
 EPS = float(np.finfo(float).eps)
 FINEST = 100 * EPS
+
+
+def worst(*errors: float) -> float:
+    """The largest of errors, zero of none; not a number where one is none, which max() loses behind others."""
+    total = sum(errors)
+    return max(errors, default=0.0) if total == total else total
 
 
 def check_controlled(scheme: Any) -> None:
@@ -122,11 +129,6 @@ class ErrorNorm(Remembering):
         return RigidMotions.at(self.system, state) if self.index < 3 and RigidMotions.differ(self.system) else None
 
     @property
-    def tolerances(self) -> tuple[float, float]:
-        """Relative and absolute."""
-        return self.rtol, self.atol or 0.0
-
-    @property
     def largest(self) -> tuple[Any, ...]:
         """The largest sizes so far."""
         return self.q_size, self.v_size, self.deflections
@@ -186,6 +188,11 @@ class ErrorNorm(Remembering):
             kinds.append(bent * (h ** (power + 1) / self.wq))
             error = error - bent
         return [*kinds, error * (h**power / self.wv)]
+
+    def of_memories(self, points: Array, past: Array, ends: Array, rate: float = 0.0, frequency: float = 0.0) -> float:
+        """The largest error of a memory of elements, see :class:`.StepError`, in the step whose points were found last."""
+        error = StepError(points, past, ends, rate, frequency, self.rtol, self.atol or 0.0)
+        return worst(*(loads.memory_error(error) for loads in collocated(self.system)))
 
     def pushed(self, h: float, a: Array) -> float:
         """The norm of accelerations, (n,), or the largest over several, that count in no error; collective."""

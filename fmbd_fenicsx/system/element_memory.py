@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..rotations import Array
-from .control.memory_points import PointRule, StepError
+from .control.memory_points import PointRule
 from .layout import State
 from .system import System
 
@@ -112,14 +112,3 @@ def lead_memories(system: System, share: float) -> None:
     """Where a tangent of the step is taken memories answer to their rates by so much (s)."""
     for loads in collocated(system):
         loads.lead(share)
-
-
-def worst(*errors: float) -> float:
-    """The largest of errors, zero of none; not a number where one is none, which max() loses behind others."""
-    total = sum(errors)
-    return max(errors, default=0.0) if total == total else total
-
-
-def memory_error(system: System, of: StepError) -> float:
-    """The largest error of a memory in the step whose points were found last, over the tolerance."""
-    return worst(*(loads.memory_error(of) for loads in collocated(system)))

@@ -40,7 +40,7 @@ from .load_steps import LoadSteps
 from .search import falls, find, state_of, static_newton, tell_unstable
 from .static_newton import StaticNewton, StaticPoint
 
-ROUGH = 1e-5  # of the largest displacement, roundoff that is told
+TOLD = 1e-5  # of the largest displacement, roundoff that is told
 ANGLES = (1.0, 2.5)  # by which bodies are turned, rad
 CHANGED = 1e-6  # increment, over the model's length, and speed, over that of the rotation, which are none
 
@@ -197,7 +197,7 @@ def _tell_roundoff(newton: StaticNewton, point: StaticPoint, t: float, given: St
         return
 
     lost = newton.roundoff(point, t, size)
-    if lost > max(ROUGH * size, newton.tolerance * system.length):
+    if lost > max(TOLD * size, newton.tolerance * system.length):
         log.warning(
             "equilibrium: roundoff of forces moves bodies by %.1e m, %.0e of the largest displacement: stiffnesses lie far "
             "apart; take fmbd.FloatingBody in mean axes, bodies of one stiffness each, or rigid ones for what hardly deforms",

@@ -30,7 +30,7 @@ from .static_newton import StaticNewton
 MOST = 24  # vectors
 SETTLED = 0.1  # of mu, what another vector may take away
 FLAT = 1e-13  # stiffness of a motion, over that of the stiffest seen, that is roundoff
-ROUGH = 10.0  # mu over what V^T K V lacks of symmetry, below which it is roundoff
+SKEW = 10.0  # mu over what V^T K V lacks of symmetry, below which it is roundoff
 WAY = 10.0 * SHIFT  # of a difference that has to tell the same, over the model's length
 SLOW = 1e-12  # squared rate, over that of the preconditioner's step, with which roundoff of reactions may let it grow
 ALIKE = 0.5  # of mu, by which it may differ
@@ -59,7 +59,7 @@ def falling(about: Perturbation, newton: StaticNewton) -> Array | None:
 
         mu, y = float(values[0]), vectors[:, 0] @ np.array(basis)
         slowest = SLOW * newton.weights.cm * system.dot(y, about.mass(y))
-        skew = bool(mu > -ROUGH * np.abs(K - K.T).max())
+        skew = bool(mu > -SKEW * np.abs(K - K.T).max())
         away = y if mu < -max(FLAT * np.abs(values).max(), slowest) else None
         # one motion alone does not show whether its forces have a potential
         if away is not None and not skew and len(basis) > 1:

@@ -25,7 +25,6 @@ from ...system.compiled.march import March
 from ...system.compiled.states.convergence import Convergence
 from ...system.compiled.states.evaluation import DriverStates
 from ...system.compiled.states.stages import StageRule
-from ...system.element_memory import worst
 from ...system.layout import State, States
 from ...system.serialisation import Memory, plain, worker
 from ...system.system import System
@@ -34,7 +33,7 @@ from ..consistent import MASS, corrected, project
 from ..consistent_states import all_corrected, metrics_of, projected
 from ..control import Statistics, StepControl, first_step
 from ..declared import Declared
-from ..error_norm import EPS
+from ..error_norm import EPS, worst
 from ..newton import Newton
 from ..own_marching import OwnMarch
 from ..prescribed_ways import time_for_way

@@ -37,15 +37,14 @@ from ...system.compiled.implicit import WORK, ImplicitRoom, OrdersOfBDF
 from ...system.compiled.own_steps import OwnRoom
 from ...system.compiled.states.convergence import Convergence
 from ...system.compiled.states.stages import StageRule
-from ...system.control.memory_points import StepError
-from ...system.element_memory import divide, memory_error, worst
+from ...system.element_memory import divide
 from ...system.layout import State, States
 from ...system.scene.contents import Contents
 from ...system.serialisation import plain, worker
 from ...system.system import System
 from ..control import ESTIMATE, StepControl, moves, turn_limit, turns_too_far
 from ..dae import GGL, Form, OfForm, Points
-from ..error_norm import check_tolerance
+from ..error_norm import check_tolerance, worst
 from ..implicit.implicit_stepper import ImplicitStepper
 from ..newton import Newton
 from ..onestep.radau import Radau, RadauStepper
@@ -332,9 +331,8 @@ class BDFStepper(ImplicitStepper):
         share = h / (t - times[-1])
         if h < SUDDEN * (times[0] - times[1]):
             share = max(share, 1.0 / (k + 1))
-        of_memories = StepError(np.array([share]), -share * w, times, 0.0, 0.0, *self.norm.tolerances)
         motion = self._error_size(h, self.iteration.pencil, share * (p.xi[0] - w @ xis), share * (p.v[0] - w @ vs))
-        return worst(motion, memory_error(self.system, of_memories))
+        return worst(motion, self.norm.of_memories(np.array([share]), -share * w, times))
 
     # -- what a march begins with -----------------------------------------------------------------------------------
     def _in_one_call(self, h: float) -> bool:

@@ -23,13 +23,13 @@ from ...system.compiled.explicit import CONTROLLED, ExplicitRoom
 from ...system.compiled.march import March
 from ...system.compiled.states.evaluation import DriverStates
 from ...system.compiled.states.explicit import Tableau
-from ...system.element_memory import collocated, worst
+from ...system.element_memory import collocated
 from ...system.layout import State, States
 from ...system.serialisation import Memory, plain, worker
 from ...system.system import System
 from ..consistent import arrived
 from ..control import ESTIMATE, Statistics, StepControl, first_step, turn_limit, turns_too_far
-from ..error_norm import check_tolerance
+from ..error_norm import check_tolerance, worst
 from ..newton import Newton
 from ..own_marching import OwnMarch
 from .explicit_limit import StepLimit

@@ -34,15 +34,13 @@ from ...system.compiled.march import March
 from ...system.compiled.own_steps import OwnRoom
 from ...system.compiled.states.convergence import Convergence
 from ...system.compiled.states.stages import StageRule
-from ...system.control.memory_points import StepError
-from ...system.element_memory import memory_error, worst
 from ...system.layout import State, States
 from ...system.serialisation import plain
 from ...system.system import System
 from ..consistent import arrived
 from ..control import DEARLY, ESTIMATE, StepControl, moves, turn_limit, turns_too_far
 from ..dae import GGL, Form, OfForm, Points
-from ..error_norm import check_controlled
+from ..error_norm import check_controlled, worst
 from ..implicit.implicit_stepper import ImplicitStepper
 from ..newton import Newton
 from .collocation import Tableau, controlled, tableau
@@ -302,8 +300,7 @@ class RadauStepper(ImplicitStepper):
     def _memory_error(self, h: float) -> float:
         """The same of the memories of elements."""
         weights, begun = self.tab.error / h, np.array([self.state.t])
-        of_step = StepError(weights, -weights.sum(keepdims=True), begun, 1.0, self.tab.gamma / h, *self.norm.tolerances)
-        return memory_error(self.system, of_step)
+        return self.norm.of_memories(weights, -weights.sum(keepdims=True), begun, 1.0, self.tab.gamma / h)
 
     # -- what a march begins with -----------------------------------------------------------------------------------
     def _lend(self) -> ImplicitRoom:

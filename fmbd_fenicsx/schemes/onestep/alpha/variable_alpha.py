@@ -48,14 +48,14 @@ from ....linear.blocks.field_blocks import Weights
 from ....linear.condensation import StepSolver
 from ....rotations import Array
 from ....system.compiled.declarations import constants
-from ....system.element_memory import whole_steps, worst
+from ....system.element_memory import whole_steps
 from ....system.evaluation import Evaluation
 from ....system.layout import State
 from ....system.serialisation import plain, worker
 from ....system.system import System
 from ...consistent import behind_a_jump
 from ...control import ESTIMATE, FADING, Statistics, StepControl, first_step, moves, turn_limit
-from ...error_norm import NormOfWays
+from ...error_norm import NormOfWays, worst
 from ...newton import Newton
 from ...stepping import UNOBSERVED, Around, Observers, TimeStepper
 from .look_ahead import LookAhead

@@ -17,7 +17,6 @@ from .....rotations import Array
 from ....control.controllers import ControlLoads
 from ....control.memory_points import PointRule, StepError
 from ....control.readings import Reading
-from ....element_memory import worst
 from ....sensors.sensors import AngularVelocity, Position, Velocity
 from ...declarations import enumeration
 from ..structures import array_of, structure
@@ -226,7 +225,8 @@ class Listening:
         k, ends = c.points, c.ends
         points, behind, times = (np.array(x) for x in (c.of_points[:k], c.of_ends[:ends], c.end[:ends]))
         of = StepError(points, behind, times, c.of_rate, c.frequency, c.rtol, c.atol)
-        c.error = worst(*(one.law.points.error(one.law.kept, of) for one in self._remembering))
+        errors = [one.law.points.error(one.law.kept, of) for one in self._remembering]
+        c.error = np.maximum.reduce(errors, initial=0.0)  # no number where one is none
 
     def keep(self, t: float) -> None:
         """Take up an accepted step that ends at t."""
