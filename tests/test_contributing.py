@@ -1,6 +1,7 @@
 """The examples of docs/contributing.md work as printed."""
 
 import re
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -196,9 +197,10 @@ def test_walks_name_what_is_there():
     steps = [station for walk in WALKS for station in stations(walk)]
     assert len(steps) > 40
     for path, names in steps:
-        text = (SOURCE / f"{path}.py").read_text()
+        found = import_module("fmbd_fenicsx." + path.replace("/", "."))
         for name in names:
-            assert re.search(rf"^ *(?:class|def) {name}\b", text, re.M), (path, name)
+            assert hasattr(found, name), (path, names)
+            found = getattr(found, name)
 
     in_c = re.findall(r"`([\w/]+\.c):(\w+)`", TEXT)
     assert len(in_c) > 8
