@@ -79,9 +79,9 @@ from .mechanics.forces.forces import force as force
 from .mechanics.forces.forces import joint_spring as joint_spring
 from .mechanics.forces.forces import own_force as own_force
 from .mechanics.forces.forces import torque as torque
-from .system.sensors.named import angle as angle
+from .mechanics.joints.drives import angle as angle
 from .mechanics.joints.drives import couple as couple
-from .system.sensors.named import displacement as displacement
+from .mechanics.joints.drives import displacement as displacement
 from .mechanics.joints.drives import drive as drive
 from .mechanics.joints.drives import gear as gear
 from .mechanics.joints.expressed import own_joint as own_joint

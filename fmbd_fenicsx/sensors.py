@@ -1,5 +1,6 @@
 """Sensors: what a run records."""
 
+from .mechanics.joints.drives import angle, displacement
 from .system.sensors.contact import (
     contact_force,
     contact_gap,
@@ -9,7 +10,6 @@ from .system.sensors.contact import (
     limit_effort,
 )
 from .system.sensors.elements import element_effort, element_force, element_power, element_torque, elongation, tension
-from .system.sensors.named import angle, displacement
 from .system.sensors.points import elastic_displacement, largest, point_value, strain
 from .system.sensors.rods import section_forces, section_strains
 from .system.sensors.sensors import (

@@ -196,9 +196,29 @@ def test_sensors_of_elements_take_names() -> None:
     with pytest.raises(InputError, match='Joint "pin" .revolute. has no displacement; .*distance and segment do'):
         scene.sensor("s", fmbd.displacement("pin"))
     with pytest.raises(
-        InputError, match='coordinate sensor of "pin" must be fmbd.angle.* of a joint itself, not of its name'
+        InputError, match='coordinate of joint "pin" must be fmbd.angle.* of a joint itself, not of its name'
     ):
         fmbd.drive("drive", fmbd.angle("pin"), lambda t: t)
+
+    # sums of such, and rates
+    scene.add(weight := fmbd.RigidBody("weight", 1.0, 0.1, position=(4.0, 0.0)))
+    scene.add(elbow := fmbd.revolute("elbow", fmbd.ground, weight, center=(1.0, 0.0)))
+    phi, psi = fmbd.angle(pin), fmbd.angle(elbow)
+    sums = {
+        "both": (2 * phi - psi / 3 + 0.5, 2 * fmbd.angle("pin") - fmbd.angle("elbow") / 3 + 0.5),
+        "mixed": (phi - (1.0 - psi), phi - (1.0 - fmbd.angle("elbow"))),
+        "rate": (fmbd.joint_rate(psi - phi), fmbd.joint_rate(-fmbd.angle("pin") + psi)),
+    }
+    for name, (of_joints, of_names) in sums.items():
+        scene.sensor(name, of_joints)
+        scene.sensor(f"{name} by names", of_names)
+        assert scene.sensors[name].unit == scene.sensors[f"{name} by names"].unit
+    run = fmbd.solve(scene, t_end=0.5, dt=1e-2)
+    for name in sums:
+        np.testing.assert_allclose(run[name], run[f"{name} by names"], rtol=0, atol=1e-14)
+        assert np.abs(run[name][-1] - run[name][0]).max() > 0.01
+    with pytest.raises(InputError, match='Sensor "bad": "pon" is not among the joints .* Did you mean "pin"?'):
+        scene.sensor("bad", phi + fmbd.angle("pon"))
 
     with pytest.raises(AttributeError, match="Run has no attribute 'sereis'; near it: series"):
         _ = run.sereis

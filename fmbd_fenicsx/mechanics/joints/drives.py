@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from .constraints import Motion
 from .couplings import Standing, lead_ratio, smooth_motion
 from .joints import Joint
 from .relative import CoordinateSums, RelativeAngle, RelativeCoordinates, Separation, Slide
-from .sums import ANGLE, LENGTH, Coordinate, CoordinateSum
+from .sums import ANGLE, LENGTH, Coordinate, CoordinateSum, NamedCoordinate
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,9 +57,18 @@ class JointCoordinate(Coordinate):
         return ANGLE if self.kind.angular else LENGTH
 
 
+@overload
+def angle(joint: str) -> NamedCoordinate: ...
+@overload
+def angle(joint: Joint) -> JointCoordinate: ...
 @typed
-def angle(joint: Joint) -> JointCoordinate:
-    """The angle of a revolute, cylindrical or planar joint about its axis (rad), counted over revolutions."""
+def angle(joint: Joint | str) -> JointCoordinate | NamedCoordinate:
+    """The angle of a revolute, cylindrical or planar joint about its axis (rad), counted over revolutions.
+
+    Of a joint's name it is for sensors only, in sums too; drives, gears and forces take the coordinate of the joint itself.
+    """
+    if isinstance(joint, str):
+        return NamedCoordinate(joint, lambda known: angle(known(joint)))
     if joint.kind not in ("revolute", "cylindrical", "planar", "drive"):
         raise InputError(
             f'Joint "{joint.name}" ({joint.kind}) has no angle about an axis; revolute, cylindrical and planar do.'
@@ -67,9 +76,18 @@ def angle(joint: Joint) -> JointCoordinate:
     return JointCoordinate(joint, RelativeAngle)
 
 
+@overload
+def displacement(joint: str) -> NamedCoordinate: ...
+@overload
+def displacement(joint: Joint) -> JointCoordinate: ...
 @typed
-def displacement(joint: Joint) -> JointCoordinate:
-    """The displacement of a prismatic, cylindrical or point-on-line joint along its axis, or the length of a rod (m)."""
+def displacement(joint: Joint | str) -> JointCoordinate | NamedCoordinate:
+    """The displacement of a prismatic, cylindrical or point-on-line joint along its axis, or the length of a rod (m).
+
+    Of a joint's name it is for sensors only, as :func:`angle`.
+    """
+    if isinstance(joint, str):
+        return NamedCoordinate(joint, lambda known: displacement(known(joint)))
     if joint.kind == "distance":
         return JointCoordinate(joint, Separation)
     if joint.kind not in ("prismatic", "cylindrical", "point on line"):

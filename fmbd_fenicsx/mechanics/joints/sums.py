@@ -8,9 +8,10 @@ An effort N on s is the effort c_k N on each s_k: power N s' = sum_k (c_k N) s_k
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+import operator
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from ...checks import number
 from ...errors import InputError
@@ -65,6 +66,9 @@ class Coordinate:
         return type(self), tuple(s.kind for s in self.coordinates), self.unit
 
     def __add__(self, other: Coordinate | float) -> CoordinateSum:
+        given: object = other
+        if isinstance(given, NamedCoordinate):
+            return NotImplemented  # it adds itself
         if not isinstance(other, Coordinate):
             return CoordinateSum(self.terms, self.offset + _number(other), self.unit, self.factored)
         return _sum((*self.terms, *other.terms), self.offset + other.offset, *_unit_of(self, other))
@@ -77,7 +81,7 @@ class Coordinate:
         return _sum([(s, -x) for s, x in self.terms], -self.offset, self.unit, self.factored)
 
     def __sub__(self, other: Coordinate | float) -> CoordinateSum:
-        return self + (-other if isinstance(other, Coordinate) else -_number(other))
+        return self + (-other if isinstance(other, Coordinate | NamedCoordinate) else -_number(other))
 
     def __rsub__(self, other: float) -> CoordinateSum:
         return -self + other
@@ -104,6 +108,44 @@ class CoordinateSum(Coordinate):
     def joint(self) -> Joint:
         """That of the first term."""
         return self.terms[0][0].joint
+
+
+@dataclass(frozen=True, eq=False)
+class NamedCoordinate:
+    """A coordinate of a joint that is given by its name, or a sum with such: what it is ``of`` the joints by their names."""
+
+    name: str
+    of: Callable[[Callable[[str], Joint]], Coordinate]
+    shown_as: ClassVar[str] = "coordinate of joint"
+    made_by: ClassVar[str] = "one of a joint's name"
+    __array_ufunc__ = None
+
+    def _with(self, made: Callable[..., Coordinate], *others: Any) -> NamedCoordinate:
+        def of(joint: Callable[[str], Joint]) -> Coordinate:
+            return made(self.of(joint), *(x.of(joint) if isinstance(x, NamedCoordinate) else x for x in others))
+
+        return NamedCoordinate(self.name, of)
+
+    def __add__(self, other: Any) -> NamedCoordinate:
+        return self._with(operator.add, other)
+
+    def __mul__(self, factor: float) -> NamedCoordinate:
+        return self._with(operator.mul, factor)
+
+    def __neg__(self) -> NamedCoordinate:
+        return self._with(operator.neg)
+
+    def __sub__(self, other: Any) -> NamedCoordinate:
+        return self._with(operator.sub, other)
+
+    def __rsub__(self, other: float) -> NamedCoordinate:
+        return -self + other
+
+    def __truediv__(self, divisor: float) -> NamedCoordinate:
+        return self._with(operator.truediv, divisor)
+
+    __radd__ = __add__
+    __rmul__ = __mul__
 
 
 def _sum(terms: Any, offset: float, unit: str, factored: bool) -> CoordinateSum:

@@ -35,7 +35,7 @@ from ...mechanics.joints.relative import RelativeCoordinates
 from ...mechanics.joints.sums import Coordinate
 from ...rotations import Array, Motions
 from ..sensors.sensor import Sensor
-from ..sensors.sensors import JointReading
+from ..sensors.sensors import JointReading, joint_reading
 from .control_laws import PidLaw
 from .control_memory import ControllerMemory
 from .law_with_memory import LawWithMemory
@@ -343,7 +343,7 @@ def controller(
 
     sensors: dict[str, Sensor] = {}
     for label, given in reads.items():
-        sensor = JointReading(None, given.unit, coordinate=given) if isinstance(given, Coordinate) else given
+        sensor = joint_reading(given) if isinstance(given, Coordinate) else given
         require(isinstance(sensor, Sensor), f'Controller "{name}" reads "{label}": expected a sensor, found {given!r}.')
         if every is None and not isinstance(sensor, (*KINEMATIC, JointReading)):
             raise InputError(
@@ -382,8 +382,5 @@ def pid(
     require(gains[0] > 0 or not np.isfinite(limit), f'PID "{name}": a limit needs a proportional gain above 0.')
 
     law = PidLaw(gains, motion_of(name, target), limit, every)
-    reads: dict[str, Sensor | Coordinate] = {
-        "s": on,
-        "rate": JointReading(None, on.unit + "/s", coordinate=on, derivative=1),
-    }
+    reads: dict[str, Sensor | Coordinate] = {"s": on, "rate": joint_reading(on, 1)}
     return controller(name, reads=reads, acts=on, law=law, memory=(0.0,), every=every)

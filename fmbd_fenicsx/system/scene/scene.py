@@ -16,13 +16,13 @@ from ...mechanics.forces.forces import Force
 from ...mechanics.forces.inputs import Input
 from ...mechanics.joints.joints import Joint
 from ...mechanics.joints.limits import JointLimit
-from ...mechanics.joints.sums import Coordinate
+from ...mechanics.joints.sums import Coordinate, NamedCoordinate
 from ...mechanics.parts import ScenePart
 from ..gravity import GivenGravity, check_gravity
 from ..layout import State
 from ..mobility import Mobility, check, loose_bodies
 from ..sensors.sensor import Sensor
-from ..sensors.sensors import JointReading
+from ..sensors.sensors import joint_reading
 from ..system import System
 from .build import Builder
 from .going_on import Origin
@@ -164,12 +164,13 @@ class Scene:
             self._put(self.__dict__[place], part, PLACES[place][1])
         return parts[0] if len(parts) == 1 else parts
 
-    def sensor(self, name: str, quantity: Sensor | Coordinate) -> str:
+    def sensor(self, name: str, quantity: Sensor | Coordinate | NamedCoordinate) -> str:
         """Record a quantity in every run, say ``scene.sensor("tip", fmbd.position(rod.surface("tip")))``; returns the name."""
         word("A sensor's name", name)
-        require(name not in self.sensors, f'Two sensors are called "{name}".')
-        if isinstance(quantity, Coordinate):
-            quantity = JointReading(None, quantity.unit, coordinate=quantity)
+        if name in self.sensors:
+            raise InputError(f'Two sensors are called "{name}".')
+        if isinstance(quantity, Coordinate | NamedCoordinate):
+            quantity = joint_reading(quantity)
         instance(f'Sensor "{name}": quantity', quantity, Sensor)
         self.sensors[name] = quantity.in_scene(name, self)
         return name

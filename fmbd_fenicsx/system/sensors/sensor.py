@@ -67,7 +67,7 @@ class Sensor:
     @property
     def wanted(self) -> list[tuple[str, str]]:
         """All that it reads, as of :attr:`reads`: joints of several coordinates, too."""
-        return [*self.reads.items(), *(("joint", named_part("joint", s.joint)) for s in self.coordinates[1:])]
+        return [*self.reads.items(), *[("joint", named_part("joint", s.joint)) for s in self.coordinates[1:]]]
 
     def in_scene(self, name: str, scene: Any) -> Sensor:
         """The quantity as the sensor ``name`` of a scene."""

@@ -14,12 +14,13 @@ from ...mechanics.bodies.bodies import RigidBody, Surface
 from ...mechanics.joints.drives import JointCoordinate, coordinates_of
 from ...mechanics.joints.joints import Ground, ground, refuse_no_attachment
 from ...mechanics.joints.relative import RelativeCoordinates, nearest
-from ...mechanics.joints.sums import Coordinate
+from ...mechanics.joints.sums import Coordinate, NamedCoordinate
 from ...rotations import Array
 from ..compiled.recording import Look, Recorded
 from ..evaluation import Evaluation
 from ..layout import Layout, State
 from ..tangents.foreshortened_ports import port_acceleration
+from .named import OfNamed
 from .sensor import OfStates, Sensor, named_part
 
 
@@ -296,9 +297,19 @@ def coordinates(body: Any, *, level: int = 0, unit: str = "-", names: Sequence[s
 
 
 @typed
-def joint_rate(coordinate: Coordinate) -> Sensor:
+def joint_rate(coordinate: Coordinate | NamedCoordinate) -> Sensor:
     """Rate of a joint coordinate (rad/s or m/s), (1,); the coordinate itself is a sensor too."""
-    return JointReading(None, coordinate.unit + "/s", coordinate=coordinate, derivative=1)
+    return joint_reading(coordinate, 1)
+
+
+def joint_reading(coordinate: Coordinate | NamedCoordinate, derivative: int = 0) -> Sensor:
+    """The sensor of a coordinate, or of its rate."""
+    if isinstance(coordinate, NamedCoordinate):
+        named = coordinate
+        return OfNamed(
+            None, "", make=lambda joint: joint_reading(named.of(joint), derivative), parts="joints", name=named.name
+        )
+    return JointReading(None, coordinate.unit + "/s" * derivative, coordinate=coordinate, derivative=derivative)
 
 
 def reaction_force(joint: Any) -> Sensor:
