@@ -13,6 +13,7 @@ from ..errors import Stopped
 from ..linear.condensation import StepSolver
 from ..linear.redundancy import not_unique
 from ..rotations import Array
+from ..schemes.declared import Declared
 from ..schemes.newton import Newton
 from ..system.element_memory import memories
 from ..system.scene.plan import make_plan
@@ -61,24 +62,6 @@ class Solved:
     compared: Compared
 
 
-@dataclass(frozen=True)
-class FinishedMarch:
-    """A march that is over: what it solved from which start, its counts, the joints whose reactions are not unique, by what
-    elastic blocks were solved.
-
-    ``times``: of the clock when the run began, when its start was found, and at its end, s. ``exit_code``: where it stops.
-    """
-
-    march: Marched
-    problem: Problem
-    start: ConsistentStart
-    counters: dict[str, float]
-    undetermined: list[str]
-    methods: dict[str, str]
-    times: tuple[float, float, float]
-    exit_code: int | None
-
-
 def run_once(
     task: Task, built: Built, *, checkpoint: Checkpoint | None = None, restart: str | Path | None = None
 ) -> Solved:
@@ -101,14 +84,21 @@ def run_once(
             problem = _problem(task, built, solver, found)
             keeps = checkpoint is not None or restart is not None
             keeper = _keeper(problem, task.schedule, task.output, checkpoint, restart) if keeps else None
-            finished = _finished(task, problem, found, solver, (begun, started), keeper)
+            try:
+                marched = march(problem, solver, task.schedule, task.output, keeper)
+            finally:
+                if keeper is not None:
+                    keeper.close()
+            times = begun, started, clock.perf_counter()
+            counters = _counters(marched, task.newton, solver)
+            _warn(task, problem, solver, marched, counters)
+        run = _run(task, built, found, solver, marched, counters, times)
     finally:
         solver.destroy()
 
-    run = _run(task, built, finished)
     if run.status == "stopped":
-        raise Stopped(run) if finished.exit_code is None else Stopped(run, finished.exit_code)
-    return Solved(run, problem, Compared(finished.march.recorder, task.schedule, task.scheme))
+        raise Stopped(run) if keeper is None or keeper.exit_code is None else Stopped(run, keeper.exit_code)
+    return Solved(run, problem, Compared(marched.recorder, task.schedule, task.scheme))
 
 
 def _problem(task: Task, built: Built, solver: StepSolver, start: ConsistentStart) -> Problem:
@@ -131,53 +121,40 @@ def _problem(task: Task, built: Built, solver: StepSolver, start: ConsistentStar
     )
 
 
-def _finished(
-    task: Task,
-    problem: Problem,
-    start: ConsistentStart,
-    solver: StepSolver,
-    clocks: tuple[float, float],
-    keeper: Keeper | None,
-) -> FinishedMarch:
-    """March, and look at what it left while its solver is there."""
-    try:
-        marched = march(problem, solver, task.schedule, task.output, keeper)
-    finally:
-        if keeper is not None:
-            keeper.close()
-    ended = clock.perf_counter()
-
-    counters = _counters(marched, task.newton, solver)
-    undetermined = not_unique(solver, marched.state)
-    first = task.schedule.next(task.schedule.begin)
-    equal = first if task.schedule.steps else 0.0
+def _warn(task: Task, problem: Problem, solver: StepSolver, marched: Marched, counters: dict[str, float]) -> None:
+    """Of what a march leaves to doubt."""
+    scene, schedule = task.scene, task.schedule
+    first = schedule.next(schedule.begin)
     limit = problem.said.turn_limit
-    ends = start.state, marched.state
-    warn_of_doubts(task.scene, solver, marched.recorder, counters, ends, equal, remembers=limit is not None)
-    warn_of_late_samples(task.scene, task.schedule)
-    warn_of_short_tables(task.scene, task.schedule.begin, task.schedule.t_end)
-    if task.scene.breakpoints:
-        warn_of_close_break_points(task.scene, task.schedule.t_end)
-
-    warn_of_dense_break_points(task.schedule)
+    ends = problem.start, marched.state
+    equal = first if schedule.steps else 0.0
+    warn_of_doubts(scene, solver, marched.recorder, counters, ends, equal, remembers=limit is not None)
+    warn_of_late_samples(scene, schedule)
+    warn_of_short_tables(scene, schedule.begin, schedule.t_end)
+    if scene.breakpoints:
+        warn_of_close_break_points(scene, schedule.t_end)
+    warn_of_dense_break_points(schedule)
     if problem.said.carries_accelerations and problem.system.prescribes:
-        warn_of_acceleration_jumps(problem.system, task.schedule)
+        warn_of_acceleration_jumps(problem.system, schedule)
     warn_of_turning_rows(solver, limit, ends, first)
     warn_of_halvings(counters)
-    code = None if keeper is None else keeper.exit_code
-    methods = solver.elastic.methods
-    return FinishedMarch(marched, problem, start, counters, undetermined, methods, (*clocks, ended), code)
 
 
-def _run(task: Task, built: Built, finished: FinishedMarch) -> Run:
-    """The run as users see it."""
-    marched, system = finished.march, built.system
-    recorder = marched.recorder
-
+def _run(
+    task: Task,
+    built: Built,
+    start: ConsistentStart,
+    solver: StepSolver,
+    marched: Marched,
+    counters: dict[str, float],
+    times: tuple[float, float, float],
+) -> Run:
+    """The run as users see it. ``times``: of the clock when it began, when its start was found, and at its end, s."""
+    recorder, system = marched.recorder, built.system
     return Run(
         scene=task.scene,
         scheme=task.scheme,
-        plan=make_plan(task.scene, system, marched.path, finished.methods),
+        plan=make_plan(task.scene, system, marched.path, solver.elastic.methods),
         system=system,
         state=marched.state,
         dt=(marched.state.t - task.schedule.begin) / max(marched.done, 1),
@@ -186,19 +163,19 @@ def _run(task: Task, built: Built, finished: FinishedMarch) -> Run:
         energy=recorder.energy,
         books=recorder.bookkeeper.books if task.output.ledger else None,
         snapshots=recorder.snapshots,
-        counters=finished.counters,
-        seconds=_seconds(built, finished),
+        counters=counters,
+        seconds=_seconds(built.seconds, marched, times),
         # how well it went
         drift=(recorder.drift.gap, recorder.drift.slip),
-        correction=finished.start.correction,
+        correction=start.correction,
         local_error=marched.local_error,
         memory=_peak_memory(system.comm),
-        newton_accuracy=finished.problem.said.accuracy(task.newton),
+        newton_accuracy=Declared.by(task.scheme).accuracy(task.newton),
         # what users should know
         status=marched.status,
         step_limit=task.schedule.largest,
         at_steps=_at_steps(recorder),
-        not_unique=finished.undetermined,
+        not_unique=not_unique(solver, marched.state),
         warnings=built.warned.lines(),
         kept=tuple(memories(system)),
     )
@@ -211,17 +188,15 @@ def _at_steps(recorder: Recorder) -> tuple[Array, dict[str, Array]] | None:
     return recorder.beside.times, recorder.beside.series
 
 
-def _seconds(built: Built, finished: FinishedMarch) -> dict[str, float]:
+def _seconds(set_up: float, marched: Marched, times: tuple[float, float, float]) -> dict[str, float]:
     """Wall time of the phases of a run, with those before a restart, s."""
-    begun, started, ended = finished.times
-    earlier = finished.march.earlier
-    recording = finished.march.recorder.seconds
+    (begun, started, ended), earlier, recording = times, marched.earlier, marched.recorder.seconds
     return {
-        "set-up": built.seconds,
+        "set-up": set_up,
         "start": started - begun,
         "steps": ended - started + earlier - recording,
         "recording": recording,
-        "total": built.seconds + ended - begun + earlier,
+        "total": set_up + ended - begun + earlier,
     }
 
 
