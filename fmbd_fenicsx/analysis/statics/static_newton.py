@@ -139,26 +139,25 @@ class StaticNewton:
     # -- a whole iteration ----------------------------------------------------------------------------------------
     def solve(self, start: StaticPoint, t: float, rest: Pair) -> StaticPoint:
         """The point where both residuals equal ``rest``; ConvergenceError where the iteration ends elsewhere."""
-        carried, self.slow = any(p.field.carried for _, p in self.residual.system.fields), False
-        if carried:
+        self.slow = False
+        if any(p.field.carried for _, p in self.residual.system.fields):
             return self._iterate(start, t, rest, DAMPED, self._carrying_increment)
-        try:
-            return self._iterate(start, t, rest, WHOLE, self._whole_increment)
-        except ConvergenceError:
-            pass
-        try:
-            return self._iterate(start, t, rest, DAMPED, self._damped_increment)
-        except ConvergenceError:
-            pass
-        try:
-            self.slow = True
-            return self._iterate(start, t, rest, WHOLE, self._slow_increment)
-        except ConvergenceError as error:
-            self.slow = False
+
+        # increments, with inertia beside the tangent, and those that may end with roundoff, each where those before fail
+        whole, damped = (WHOLE, self._whole_increment), (DAMPED, self._damped_increment)
+        failed: list[ConvergenceError] = []
+        for way, slow, rough in (
+            (whole, False, False),
+            (damped, False, False),
+            (whole, True, False),
+            (whole, False, True),
+        ):
+            self.slow = slow
             try:
-                return self._iterate(start, t, rest, WHOLE, self._whole_increment, rough=True)
-            except ConvergenceError:
-                raise error from None
+                return self._iterate(start, t, rest, *way, rough=rough)
+            except ConvergenceError as error:
+                failed.append(error)
+        raise failed[2]  # inertia tells most of what is missing
 
     def _iterate(
         self, start: StaticPoint, t: float, rest: Pair, most: int, increment: Increment, *, rough: bool = False
@@ -185,7 +184,7 @@ class StaticNewton:
             stalled = size > 0.5 * sizes[-2] and size <= 1e-9 * system.length
             stalled |= rough and sizes[-2] <= size <= ROUGH * system.max_abs(self.moved)
             if size <= self.tolerance * system.length or stalled:
-                if increment == self._slow_increment and not self._fallen(sizes):
+                if self.slow and not self._fallen(sizes):
                     if stalled:
                         raise LostStiffnessError(size)
                     continue
@@ -206,9 +205,12 @@ class StaticNewton:
         return step if np.isfinite(self.residual.system.max_abs(step[0])) else None
 
     def _whole_increment(self, point: StaticPoint, t: float, r: Pair, rest: Pair) -> Pair | None:
-        """Increment of the exact tangent, unless it is long against the model."""
+        """Increment of the exact tangent, M / tau^2 beside it or not, unless it is long against the model.
+
+        What may turn or slide freely has no stiffness, and roundoff would move it far; the rest hardly feels M, as tau is long.
+        """
         system = self.residual.system
-        dq, dlam = self.inverse(point, t, r, rest)
+        dq, dlam = self.inverse(point, t, r, rest, float(self.slow))
         return (dq, dlam) if system.max_abs(dq) <= LONG * system.length else None
 
     def _damped_increment(self, point: StaticPoint, t: float, r: Pair, rest: Pair) -> Pair | None:
@@ -222,15 +224,6 @@ class StaticNewton:
             return dq, dlam
         share = self._share(point, t, (dq, dlam), (rest[0] - r[0], rest[1] - r[1]), rest)
         return (share * dq, share * dlam) if share else None
-
-    def _slow_increment(self, point: StaticPoint, t: float, r: Pair, rest: Pair) -> Pair | None:
-        """Increment with M / tau^2 beside the exact tangent.
-
-        What may turn or slide freely has no stiffness, and roundoff would move it far; the rest hardly feels it, as tau is long.
-        """
-        system = self.residual.system
-        dq, dlam = self.inverse(point, t, r, rest, 1.0)
-        return (dq, dlam) if system.max_abs(dq) <= LONG * system.length else None
 
     def _fallen(self, sizes: list[float]) -> bool:
         """Whether increments with inertia beside the tangent show an equilibrium: they are what is out of balance in the
