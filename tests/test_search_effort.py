@@ -26,7 +26,6 @@ from fmbd_fenicsx.run.accuracy.search import (
     next_attempt,
     shared_runs,
     shared_spaces,
-    shared_tolerances,
     tolerance,
 )
 from fmbd_fenicsx.run.accuracy.search.attempts import Failures
@@ -386,20 +385,15 @@ def test_dear_spaces_are_told_by_the_level_below_where_that_is_enough(monkeypatc
     assert run.history[-1].then == "done" and run.history[-1].meshes == 1 and len(asked) == 1
 
 
-def test_a_third_of_a_tolerance_tells_nothing_of_steps_that_kinks_refuse(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What a stop leaves is of the size of the tolerance, and chance: two runs come near, and a tenth of an error was stated."""
-    smooth: list[bool] = []
-    told = shared_tolerances.tolerance_error
-
-    def noted(*given: Any, **how: Any) -> Any:
-        smooth.append(how["smooth"])
-        return told(*given, **how)
-
-    monkeypatch.setattr(shared_tolerances, "tolerance_error", noted)
-    monkeypatch.setattr(shared_runs, "two_in_one", lambda solved: None)
-    for scene in (at_a_stop(), pendulum()):
-        fmbd.solve(scene, t_end=1.0, tol={"x": 1e-3}, scheme=fmbd.Radau(2), output=fmbd.Output(progress=False))
-    assert smooth == [False, True]
+def test_one_run_tells_errors_of_steps_and_what_iterations_leave_at_single_ends(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """At all records at once: a second run as long was made where the errors of the steps were small beside that."""
+    made, march = [], companion_runs.march
+    monkeypatch.setattr(companion_runs, "march", lambda *given: (made.append(given), march(*given))[1])
+    output = fmbd.Output(progress=False)
+    run = fmbd.solve(pendulum(), t_end=1.0, tol={"x": 2e-9}, scheme=fmbd.Radau(7), output=output)
+    assert run.history[-1].then == "done" and len(made) == len(run.history)
 
 
 @pytest.mark.parametrize("called", [False, True])

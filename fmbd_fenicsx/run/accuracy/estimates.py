@@ -26,13 +26,13 @@ from ..recording.recorder import Recorder
 from ..schedule import StepSchedule
 from ..time_loop import Marched
 from .beside_steps import algebra_error, tighter_run, with_damped, with_early_rest
-from .certificate import kinked, moving, stated_of, uncertain_of
+from .certificate import kinked, stated_of, uncertain_of
 from .companion_runs import UNFIT, Compared, as_recorded, companion
-from .deviation import Deviation, at_least, scaled
+from .deviation import Deviation, scaled
 from .equal_steps import equal_steps_error
 from .jumps_at_records import jumps_at_records
 from .jumps_in_time import jumps_about_kinks
-from .larger_steps import beyond_by_halves
+from .larger_steps import SLOW, beyond_by_halves
 from .orders import expected_orders, seen_by_ends
 from .search.space_levels import finer_scene, space_deviations, unended
 
@@ -40,18 +40,12 @@ if TYPE_CHECKING:
     from ..result import Run
 
 STEEPEST = 0.9  # power of a scheme's tolerance that its errors follow at most, as long as nothing was seen
-LOOKED_AT = 100  # instants at which runs of a search with steps of their own choice are compared: narrow peaks lie between fewer
-CERTIFIED_AT = 200  # the same for a certificate: peaks of accelerations and reactions are narrow
-SMALLER = 0.75  # of the size of the step before: values at the end of that one are looked at, too
+FEWEST = 100  # instants at which runs are compared, of which fewer than that have steps
 TENTH = 0.1  # of a tolerance
-# the same of smooth motion, where a run lands at every second end of another one with MANY steps or more, three for two of these
-THIRD, MANY = 1 / 3, 24
 # power of tolerances that errors are thought to fall with at most, and the most that a finer run is thought to have left of one
 FALLS, LEFT = 0.7, 0.6
 TELLING = 2.0  # ratio by which errors fall, by the steps that were taken, from which on runs are compared
 SHORT = 0.25  # of the mean step, where the tolerance does not choose them
-HALF = 0.5  # the same where it does not choose values within them
-DECADES = 3  # of tolerances that are tried for it
 PEAKS = 30.0  # times what Newton's iteration leaves in the mean that it does at single ends of steps
 SHOWN = 4  # jumps in a message
 SATURATION = 1.5  # the error of the finer basis counts as at most a third of that of the given one
@@ -60,85 +54,50 @@ Whole = Callable[[float], tuple[dict[str, Deviation], Compared] | None]  # of a 
 
 
 def tolerance_error(
-    problem: Problem,
-    coarse: Recorder,
-    schedule: StepSchedule,
-    *,
-    instants: int = CERTIFIED_AT,
-    smooth: bool = False,
-    whole: Whole | None = None,
+    problem: Problem, coarse: Recorder, schedule: StepSchedule, *, whole: Whole | None = None
 ) -> dict[str, Deviation]:
     """Error of each sensor by the tolerance of an error-controlled scheme, both runs at the recorded times; collective.
 
-    Empty, with a warning, where the second one fails.
+    Empty, with a warning, where the second one, see :func:`beyond_by_finer`, fails.
 
-        |x_r - x| <= |x_r - x_s| + |x_s - x| <= 1 / (1 - k) |x_r - x_s|,     s = f r,     k = (n_r / n_s)^p           (1)
-
-    with f = 1/10, n_r, n_s the steps that the runs took and p the order of the scheme in the sensor: multipliers, and
-    all where memories go by rules of their own, have lower ones than the steps are chosen by. k counts as f^0.7 at least:
-    errors like r^(2/3) fall to 0.22 of their size with f = 1/10. Where steps come in a few sizes only, two tolerances may share
-    one, and agree: s falls on then. Of ``smooth`` motion f = 1/3 is enough for many steps, of which the second run lands at every
-    second end, so that n_s / n_r is 3/2 at least; what kinks leave is chance, and comes near in both runs. Where halves of the
-    steps tell the error (:func:`.larger_steps.beyond_by_halves`) k = 2^-p.
+        |x_r - x| <= |x_r - x_s| + |x_s - x| <= 1 / (1 - k) |x_r - x_s|                                               (1)
     """
     try:
-        given = Compared(coarse, schedule, problem.scheme)
-        if apart := beyond_by_halves(problem, given):
-            orders = expected_orders(problem.scheme, problem.scene, problem.system)
-            return {n: scaled(x, 1.0 / (1.0 - 0.5 ** orders[n])) for n, x in apart.items()}
-        apart, left = beyond_by_tolerance(problem, given, instants, smooth=smooth, whole=whole)
+        apart, left = beyond_by_finer(problem, Compared(coarse, schedule, problem.scheme), whole=whole)
     except UNFIT as error:
         log.warning("no error estimate: the run with a smaller tolerance did not end: %s", error)
         return {}
     return {n: scaled(x, 1.0 / (1.0 - left[n])) for n, x in apart.items()}
 
 
-def with_single_ends(
-    errors: dict[str, Deviation], problem: Problem, made: Compared, asked: Callable[[dict[str, Deviation]], bool]
-) -> dict[str, Deviation]:
-    """Errors at all records of a run with error control, where they are below what Newton's iteration may leave at single ends of
-    steps, which shows where no error of time hides it, as of mechanisms that are driven; collective. ``asked``: whether so much
-    matters.
+def left_at_single_ends(problem: Problem, made: Recorder) -> dict[str, Deviation]:
+    """What Newton's iteration may leave at single ends of steps of a run with error control, at most. Larger steps, which share
+    every second end, do not show it where no error of time hides it, as of mechanisms that are driven.
     """
-    recorder, left = made.recorder, PEAKS * problem.said.accuracy(problem.newton)
-    spans = moving(recorder.series, recorder.scene.sensors)
-    hidden = {n: x for n, x in spans.items() if n in errors and errors[n].size < left * x}
-    peaks = {n: Deviation(recorder.times[:1], np.full((1, 1), left * hidden.get(n, 0.0))) for n in errors}
-    if not (hidden and problem.said.weighs and asked(peaks)):
-        return errors
-    found = tolerance_error(problem, recorder, made.schedule, instants=len(recorder.times))
-    return {n: at_least(x, found[n], np.inf) for n, x in errors.items()} if found else errors
+    share = PEAKS * problem.said.accuracy(problem.newton) if problem.said.weighs else 0.0
+    return {n: Deviation(made.times[:1], share * np.ptp(x, axis=0)[None]) for n, x in made.series.items()}
 
 
-def beyond_by_tolerance(
-    problem: Problem,
-    given: Compared,
-    instants: int,
-    *,
-    smooth: bool,
-    of: Built | None = None,
-    whole: Whole | None = None,
+def beyond_by_finer(
+    problem: Problem, given: Compared, *, of: Built | None = None, whole: Whole | None = None
 ) -> tuple[dict[str, Deviation], dict[str, float]]:
-    """What a run with a smaller tolerance has beyond a given one, as :func:`tolerance_error` takes it, and k of that one;
-    ``of``: it is made with another system of the problem's scene; ``whole``: who makes one that serves again, or none.
-    Collective. Raises one of :data:`.UNFIT` where it does not end.
+    """What a run with smaller steps has beyond a given one, and the share k of the error that it has itself. ``of``: it is made
+    with another system of the problem's scene; ``whole``: who makes one that serves again, or none. Collective. Raises one of
+    :data:`.UNFIT` where it does not end.
+
+    Halves of the steps (:func:`.larger_steps.beyond_by_halves`) leave k = 2^-p, p the order of the scheme in the sensor, in finer
+    spaces, which vibrate faster, :data:`SLOW` of it. A tenth of the tolerance leaves k = (n_r / n_s)^p, n_r, n_s the steps that
+    both took: multipliers, and all where memories go by rules of their own, have lower orders than the steps are chosen by. k
+    counts as 10^-0.7 at least: errors like r^(2/3) fall to 0.22 of their size.
     """
-    coarse, rtol = given.recorder, problem.scheme.rtol
-    few = smooth and _lands_at(problem, coarse) and coarse.indices[-1] >= MANY
-    share, every = (THIRD, 2) if few else (TENTH, 1)
     orders = expected_orders(problem.scheme, problem.scene, problem.system)
-    for _ in range(DECADES):
-        rtol = max(share * rtol, FINEST)
-        made = None if whole is None else whole(rtol)
-        apart, finer = made or _from_tolerance(problem, given, rtol, instants, every, of)
-        if grown(given, finer) ** max(orders.values(), default=1) >= TELLING or rtol == FINEST:
-            break
-    return apart, {n: min(max(grown(given, finer) ** -p, share**FALLS), LEFT) for n, p in orders.items()}
-
-
-def _lands_at(problem: Problem, made: Recorder) -> bool:
-    """Whether runs with smaller steps have to end some where a run was recorded."""
-    return problem.said.ends_ahead and made.output.times is None
+    if apart := beyond_by_halves(problem, given, of):
+        share = 1.0 if of is None else SLOW
+        return apart, {n: 0.5 ** (share * p) for n, p in orders.items()}
+    rtol = max(TENTH * problem.scheme.rtol, FINEST)
+    made = None if whole is None else whole(rtol)
+    apart, finer = made or _from_tolerance(problem, given, rtol, of)
+    return apart, {n: min(max(grown(given, finer) ** -p, TENTH**FALLS), LEFT) for n, p in orders.items()}
 
 
 def grown(given: Compared, finer: Compared) -> float:
@@ -179,24 +138,12 @@ def of_tolerances(apart: dict[str, Deviation], most: float, seen: Mapping[str, f
     return {n: scaled(x, 1.0 / (max(min(most, seen[n]), TELLING) - 1.0)) for n, x in apart.items()}
 
 
-def looked_at(made: Recorder, most: int = LOOKED_AT) -> np.ndarray:
-    """Rows of some of the records of a run: evenly, and before steps that are smaller, as the values of accelerations and
-    multipliers there have the error of the larger one; so many of each at most.
+def looked_at(made: Recorder) -> np.ndarray:
+    """Rows of the records of a run at which others are compared: all, or evenly as many as it has steps. Peaks of accelerations
+    and multipliers are narrow, and what iterations leave is at single ends of steps.
     """
-    # records between the ends of steps are made one by one
-    count = len(made.times)
-    even = np.linspace(0, count - 1, min(count, most)).round().astype(int)
-    size = np.diff(made.times)
-    shrinks = np.flatnonzero(size[1:] < SMALLER * size[:-1])
-    steepest = shrinks[np.argsort((size[1:] / size[:-1])[shrinks], kind="stable")]
-    return np.unique(np.concatenate((even, steepest[:most] + 1)))
-
-
-def _landings(made: Recorder, most: int, every: int) -> np.ndarray:
-    """The same, evenly, at which steps of another run end: so many steps are between them at least."""
-    count = len(made.times) - 1
-    stride = max(-(-count // most), -(-every // max(made.output.every, 1)))
-    return np.unique(np.append(np.arange(0, count, stride), count))
+    count, most = len(made.times), max(int(made.indices[-1]) + 1, FEWEST)
+    return np.linspace(0, count - 1, min(count, most)).round().astype(int)
 
 
 def usual_power(scheme: Any) -> float:
@@ -213,32 +160,20 @@ def usual_errors(made: Compared) -> dict[str, Deviation]:
 
 
 def _from_tolerance(
-    problem: Problem, given: Compared, rtol: float, most: int = LOOKED_AT, every: int = 1, of: Built | None = None
+    problem: Problem, given: Compared, rtol: float, of: Built | None = None
 ) -> tuple[dict[str, Deviation], Compared]:
     """What a run with another tolerance has beyond a given one, at some of its records, and that run; collective.
 
-    Where values between ends of steps are of a lower order, steps of a finer run end where the given one is recorded at its own,
-    or its errors would be taken for that one's. Both might share steps, and what these are off: it has halves of single ones, and
-    at other times half of the mean one at most.
+    Where elements are moved by ends of steps alone both might share steps, and what these are off: a finer run has shorter ones.
     """
     recorder, schedule = given.recorder, given.schedule
-    other, finer = replace(problem, scheme=replace(problem.scheme, rtol=rtol)), rtol < problem.scheme.rtol
-    lands = finer and _lands_at(problem, recorder)
-    rows = _landings(recorder, most, every) if lands else looked_at(recorder, most)
-    instants = tuple(recorder.times[rows])
-    wanted = Output(energy=False, progress=False, times=instants)
-    landing, mean = schedule, schedule.span / max(int(recorder.indices[-1]), 1)
-    if finer and seen_by_ends(problem.system):
-        landing = landing.below(SHORT * mean)
-
-    if lands:
-        ends = recorder.times[rows]
-        single = np.diff(recorder.indices[rows]) == 1
-        middles = (0.5 * (ends[1:] + ends[:-1]))[single]
-        landing = replace(landing, marks=tuple(sorted({*schedule.marks, *instants, *middles.tolist()})))
-    elif finer and problem.said.ends_ahead:
-        landing = landing.below(HALF * mean)
-    made = Compared(companion(other, landing, wanted, of).recorder, schedule, other.scheme)
+    other = replace(problem, scheme=replace(problem.scheme, rtol=rtol))
+    rows = looked_at(recorder)
+    wanted = Output(energy=False, progress=False, times=tuple(recorder.times[rows]))
+    steps = schedule
+    if rtol < problem.scheme.rtol and seen_by_ends(problem.system):
+        steps = schedule.below(SHORT * schedule.span / max(int(recorder.indices[-1]), 1))
+    made = Compared(companion(other, steps, wanted, of).recorder, schedule, other.scheme)
     there = {n: x[rows] for n, x in recorder.series.items()}
     seen = {n: x for n, x in made.recorder.series.items() if x.shape == there[n].shape}  # not those of each mesh
     apart = {n: Deviation(made.recorder.times, x - there[n]) for n, x in seen.items()}
@@ -316,8 +251,7 @@ def state_errors(run: Run, problem: Problem, made: Compared, output: Output) -> 
 
     if output.estimate_error and not made.schedule.steps:
         ending = replace(made.schedule, stops=tuple(sorted({*made.schedule.stops, *jumps})))
-        errors = tolerance_error(problem, made.recorder, ending)
-        run.deviations["time"] = with_single_ends(errors, problem, made, lambda _: True)
+        run.deviations["time"] = tolerance_error(problem, made.recorder, ending)
         run.seconds["error estimate"] = clock.perf_counter() - ended
     elif output.estimate_error:
         _tell_jumps(run, jumps)

@@ -16,6 +16,8 @@ import numpy as np
 
 from ...log import log
 from ...rotations import Array
+from ...schemes.error_norm import FINEST
+from ..built import Built
 from ..problem import Problem
 from ..recording.output import Output
 from ..schedule import StepSchedule, far_side
@@ -31,6 +33,7 @@ SUDDEN = 1 / 3  # of the size of the step before: the error of smooth motion doe
 SOON, NOT_PASSED = 3, 5e-6
 MANY = 6 * FEWEST  # steps of which four in one still follow the motion
 MEAN_ORDER = "mean order"  # counter of schemes that change their order
+SHARPER = 0.1  # of the tolerance, by which halves of steps are iterated
 SLOW = 0.75  # share of the order of the scheme that errors are stated by, where half of it would do
 
 
@@ -112,10 +115,10 @@ def with_larger_steps(problem: Problem, given: Compared, count: int) -> Compared
     return _with_steps(problem, in_one(given, count), Output(energy=False, progress=False))
 
 
-def _with_steps(problem: Problem, schedule: StepSchedule, wanted: Output) -> Compared | None:
-    """The same with the steps of a schedule and an output."""
+def _with_steps(problem: Problem, schedule: StepSchedule, wanted: Output, of: Built | None = None) -> Compared | None:
+    """The same with the steps of a schedule and an output, from that ``of`` another system where there is one."""
     try:
-        made = companion(problem, schedule, wanted)
+        made = companion(problem, schedule, wanted, of)
     except UNFIT as error:
         log.info("the run with steps like those of another one did not end: %s", error)
         return None
@@ -123,25 +126,30 @@ def _with_steps(problem: Problem, schedule: StepSchedule, wanted: Output) -> Com
     return None if _other_steps(other) else other
 
 
-def beyond_by_halves(problem: Problem, given: Compared) -> dict[str, Deviation]:
-    """What a run with halves of the steps of a ``given`` one has beyond it, as far as its scheme is of second order at most:
-    tolerances that ask for as many steps of it share some with those, and drift with the pattern in which sizes change. Where the
-    ends of steps were not recorded these are made once more. Empty where that is no way to tell its error; collective.
+def beyond_by_halves(problem: Problem, given: Compared, of: Built | None = None) -> dict[str, Deviation]:
+    """What a run with halves of the steps of a ``given`` one has beyond it; ``of``: made with another system of the problem's
+    scene. Tolerances that ask for as many steps of second order share some with those, and drift with the pattern in which sizes
+    change; and of schemes whose values between ends of steps are of a lower order, other ends would show these. Where the ends of
+    steps were not recorded these are made once more. Empty where that is no way to tell its error; collective.
     """
-    if problem.scheme.order > 2 or not problem.said.takes_given or seen_by_ends(problem.system):
+    said = problem.said
+    if not (said.takes_given and (said.ends_ahead or problem.scheme.order <= 2)) or seen_by_ends(problem.system):
         return {}
     recorder, schedule = given.recorder, given.schedule
     if not _at_ends(given):
-        known = companion(problem, schedule, Output(energy=False, progress=False))
+        asked = replace(problem, scene=recorder.scene)
+        known = companion(asked, schedule, Output(energy=False, progress=False))
         given = replace(given, recorder=known.recorder)
     ends = set(schedule.marks) - set(schedule.stops)
     for t in _stretches(given):
         ends.update(map(float, t[1:-1]), map(float, 0.5 * (t[1:] + t[:-1])))
     halves = replace(schedule, marks=tuple(sorted(ends)), given=True)
-    finer = _with_steps(problem, halves, as_recorded(recorder, halves))
-    if finer is None:
-        return {}
-    return {n: Deviation(recorder.times, x - recorder.series[n]) for n, x in finer.recorder.series.items()}
+    # which has its part of the iteration's error only
+    sharper = replace(problem, scheme=replace(problem.scheme, rtol=max(SHARPER * problem.scheme.rtol, FINEST)))
+    finer = _with_steps(sharper, halves, as_recorded(recorder, halves), of)
+    there = {} if finer is None else finer.recorder.series
+    seen = {n: x for n, x in there.items() if x.shape == recorder.series[n].shape}  # not those of each mesh
+    return {n: Deviation(recorder.times, x - recorder.series[n]) for n, x in seen.items()}
 
 
 def two_in_one(solved: Solved) -> Compared | None:

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 LEAST = 0.65  # of smaller changes of the step the runs cost more than they save
 NEAR, FAR = 1 / 4, 1 / 128  # most that a step is made smaller at once, without and with the order of the scheme seen
-HALF, LATER = 0.45, 0.3  # shares for time beside an error in space that is not known yet: allowed, and brought below
+BESIDE = 0.3  # share for time beside errors of space or modes that are brought below their limits in the same attempt
 BOTH = 0.6  # part of it for each of space and modes, where there are both
 SMALL = 0.5  # part of what it is allowed up to which an error is not estimated again when the other kind is refined
 TIGHTER = 0.05  # share of the tolerance that Newton's iteration is brought to leave, where it left too much
@@ -50,7 +50,6 @@ SURE = 0.7  # of a tolerance, or an error, that is thought to be small enough, w
 SURER = 0.4
 FALLS = 1.1  # ratio by which errors in space have to fall when meshes are refined
 LAST = 10.0 * FINEST  # tolerance of a scheme of which a run with a tenth tells the error
-MANY = 32  # grains above which numbers of steps are rounded to four
 
 
 @dataclass(frozen=True)
@@ -193,13 +192,10 @@ def next_plan(
         known = certificate.unstated.get("space")
         return None, f"{error}" + (f" Of its error in space: {known}." if known else "")
 
-    # steps; where the next error in space is open, they change in the same attempt only if they have to
+    # steps
     done += changes
-    unseen = not np.isfinite(over["time"])
-    allowed = wanted = limits["time"]
-    if made.meshes != plan.meshes and not _foreseen(plan):
-        allowed, wanted = max(HALF, wanted), max(LATER, wanted)
-    if done and not (unseen or over["time"] > allowed):
+    unseen, wanted = not np.isfinite(over["time"]), max(limits["time"], BESIDE if changes else 0.0)
+    if done and not (unseen or over["time"] > wanted):
         return made, " and ".join(done)
 
     factor = 0.25 if unseen else _factor(plan, run, tol, shares=(over["time"], wanted), history=history)
@@ -423,7 +419,5 @@ def finer_steps(plan: AttemptPlan, factor: float) -> AttemptPlan:
     if not plan.steps:
         rtol = min(max(plan.scheme.rtol * factor, LAST), plan.scheme.rtol)
         return replace(plan, scheme=replace(plan.scheme, rtol=rtol))
-    wanted = plan.steps / factor
-    grain = plan.grain if wanted < MANY * plan.grain else 4 * plan.grain
-    steps = int(np.ceil(wanted / grain - 1e-9)) * grain
-    return replace(plan, schedule=plan.schedule.with_steps(steps))
+    grains = int(np.ceil(plan.steps / factor / plan.grain - 1e-9))
+    return replace(plan, schedule=plan.schedule.with_steps(grains * plan.grain))

@@ -18,7 +18,7 @@ from ...built import Built
 from ...single_run import Solved
 from ..companion_runs import UNFIT, Compared
 from ..deviation import Deviation, scaled
-from ..estimates import LOOKED_AT, beyond_by_tolerance, mode_deviations
+from ..estimates import beyond_by_finer, mode_deviations
 from .shared_tolerances import SharedTolerances
 from .space_levels import (
     AHEAD,
@@ -96,7 +96,7 @@ class SharedSpaces(SharedTolerances):
 
     # -- meshes, and time with them -----------------------------------------------------------------------------------
     def all_at_once(self, solved: Solved, enough: Enough) -> TimeAndSpace | None:
-        """What a run with a smaller tolerance in finer spaces has beyond one with steps of its scheme's own choice; collective.
+        """What a run with smaller steps in finer spaces has beyond one with steps of its scheme's own choice; collective.
 
         It is clearly better in both, so that what it differs by is the error, and costs less than a run for each. None where
         there is no such run.
@@ -106,11 +106,8 @@ class SharedSpaces(SharedTolerances):
         if built is None or why:
             return None
         self._chosen[id(problem.scene)] = given
-        smooth = not solved.run.counters.get("rejected: error estimate")
         try:
-            apart, left = beyond_by_tolerance(
-                replace(problem, scene=finer), given, LOOKED_AT, smooth=smooth, of=self.built(finer)
-            )
+            apart, left = beyond_by_finer(replace(problem, scene=finer), given, of=self.built(finer))
         except UNFIT as error:
             log.info("the run with a smaller tolerance in finer spaces did not end: %s", error)
             return None

@@ -11,10 +11,10 @@ from ..companion_runs import UNFIT, Compared
 from ..deviation import Deviation, at_least
 from ..equal_steps import FURTHER, TimeError
 from ..estimates import (
-    LOOKED_AT,
     TELLING,
     beyond,
     grown,
+    left_at_single_ends,
     looser_run,
     of_tolerances,
     tolerance_error,
@@ -24,7 +24,7 @@ from ..estimates import (
 from ..larger_steps import larger_steps_error
 from ..orders import seen_by_ends
 from .shared_runs import SharedRuns, acts, orders_of
-from .shares import DOUBTED, Allowed
+from .shares import DOUBTED, ITERATED, Allowed
 
 LOOSE = 1e-3  # tolerances up to which ten times as much tells something
 PAYS = 1.5  # ratio of steps, as the order of the scheme has it, from which on a looser run is made
@@ -41,7 +41,8 @@ class SharedTolerances(SharedRuns):
         the same few steps.
         """
         problem, given = solved.problem, solved.compared
-        two = self.two_in_one(solved)
+        left = allowed.share(left_at_single_ends(problem, given.recorder))
+        two = self.two_in_one(solved) if left <= ITERATED else None
         if two is not None and (found := larger_steps_error(solved, two, allowed)) is not None:
             return found
         looser, likely = self._looser(solved, allowed), dict[str, Deviation]()
@@ -55,11 +56,8 @@ class SharedTolerances(SharedRuns):
             if likely and allowed.share(likely) > DOUBTED * allowed.room:
                 return TimeError(likely, {}, given)
 
-        smooth = not solved.run.counters.get("rejected: error estimate")
         whole = (lambda rtol: self._with_tolerance(solved, rtol)) if first else None
-        errors = tolerance_error(
-            problem, given.recorder, given.schedule, instants=LOOKED_AT, smooth=smooth, whole=whole
-        )
+        errors = tolerance_error(problem, given.recorder, given.schedule, whole=whole)
         return TimeError({n: at_least(x, likely.get(n, x), FURTHER) for n, x in errors.items()}, {}, given)
 
     def _looser(self, solved: Solved, allowed: Allowed) -> tuple[dict[str, Deviation], Compared] | None:
@@ -81,12 +79,11 @@ class SharedTolerances(SharedRuns):
 
     def _with_tolerance(self, solved: Solved, rtol: float) -> tuple[dict[str, Deviation], Compared] | None:
         """What a whole run with a smaller tolerance, which may be the next attempt, has beyond a given one, and that run; None
-        where something is called or kept on the way, or values between ends of steps are of a lower order; collective.
+        where something is called or kept on the way, or elements are moved by ends of steps alone; collective.
         """
         problem, given = solved.problem, solved.compared
         scene, scheme, output = problem.scene, replace(problem.scheme, rtol=rtol), given.recorder.output
-        lands = problem.said.ends_ahead or seen_by_ends(problem.system)
-        if lands or acts(output) or self._before(scene, scheme, given.schedule) is not given:
+        if seen_by_ends(problem.system) or acts(output) or self._before(scene, scheme, given.schedule) is not given:
             return None
         found = self.solve(scene, scheme, given.schedule, output)
         self._whole[id(scene), rtol] = found

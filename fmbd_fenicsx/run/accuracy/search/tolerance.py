@@ -34,7 +34,7 @@ from ..certificate import FLOOR, Certificate, moving, stated_of, struck_or_sampl
 from ..companion_runs import UNFIT, Compared
 from ..deviation import Deviation
 from ..equal_steps import Orders, TimeError, astray, between, known_orders
-from ..estimates import usual_errors, warn_of_uncertain, with_single_ends
+from ..estimates import usual_errors, warn_of_uncertain
 from ..jumps_at_records import jumps_at_records
 from .attempts import Attempt, Failures, of_jumps, of_space, tell_of_dear_attempt
 from .foreseen_steps import with_steps_foreseen
@@ -58,7 +58,6 @@ from .shared_spaces import SharedSpaces
 from .shares import (
     AIM,
     DOUBTED,
-    ITERATED,
     SAFE,
     WHOLE,
     Allowed,
@@ -374,11 +373,7 @@ def _time_error(plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, solved:
     too_coarse = any(share_of(x) > AIM for x in plan.known.errors.values() if x)
     allowed = Allowed(tuple(tol), share_of, room, rough=alone or looked, last=not too_coarse)
     if not plan.steps:
-        found = shared.tolerance_error(solved, allowed)
-        if not allowed.nearly_lets(found.errors):
-            return found
-        given, matters = solved.compared, lambda peaks: share_of(peaks) > ITERATED
-        return replace(found, errors=with_single_ends(found.errors, solved.problem, given, matters))
+        return shared.tolerance_error(solved, allowed)
     found = shared.time_error(solved, plan.orders, allowed)
     made, errors = found.instead or solved, found.errors
     if allowed.nearly_lets(errors):
