@@ -22,7 +22,7 @@ from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 
-from .errors import InputError
+from .errors import InputError, near
 from .hints import classes_of, hint_of, home_of, is_function, options_of
 
 P = ParamSpec("P")
@@ -217,9 +217,24 @@ def check_fields(data: Any, what: str | None = None) -> None:
             _check(f"{label}: {name}", values[name], hint, default=default)
 
 
+def unchanging(kind: type[T]) -> type[T]:
+    """A frozen dataclass whose objects tell who sets a field of one what to do; those with :func:`check_fields` are such."""
+
+    def refuse_change(self: Any, name: str, value: Any) -> None:
+        known = [f.name for f in fields(self) if f.init]
+        if name not in known:
+            raise InputError(f'{shown(self)} has no "{name}" to set. {near(name, known)}')
+        raise InputError(f"{shown(self)} stays as it was made, with its {name}: make another one with this {name}.")
+
+    kind.__setattr__ = refuse_change  # type: ignore[method-assign, assignment]
+    return kind
+
+
 @cache
 def _annotated(kind: Any) -> tuple[tuple[str, Any, Any], ...]:
     """Name, type and default of each field that users give."""
+    if kind.__dataclass_params__.frozen:
+        unchanging(kind)
     given = [f for f in fields(kind) if f.init]
     return tuple((f.name, hint_of(home_of(kind, f.name), f.type), f.default) for f in given)
 

@@ -50,6 +50,22 @@ def test_a_run_ends_where_a_sensor_crosses_a_value(settings: dict[str, Any]) -> 
     assert run.state.t == run.times[-1] and (np.diff(run.times) > 0).all()
 
 
+@pytest.mark.parametrize("settings", [{"dt": 0.01}, {"scheme": fmbd.Radau(3)}], ids=["alpha", "Radau"])
+def test_an_event_that_ends_no_run_is_told(settings: dict[str, Any]) -> None:
+    events = [fmbd.Event("ball z", 2.0), fmbd.Event("ball z", 1.0, direction=-1), fmbd.Event("ball x", 9.0, then=print)]
+    run = fmbd.solve(ball(), t_end=0.5, output=fmbd.Output(events=events), **settings)
+    assert run.status == "finished"
+    told = [x for x in run.warnings if x.startswith("event")]
+    assert [x[: x.index(" and")] for x in told] == [
+        'event "ball z": 2 was not crossed',
+        'event "ball z": 1 was not crossed downwards',
+    ]
+    assert all("records are from 0 to 1.27" in x for x in told)
+
+    ended = fmbd.solve(ball(), t_end=5.0, output=fmbd.Output(events=events), **settings)
+    assert ended.status == "ended by an event" and not ended.warnings
+
+
 def test_given_times_end_at_the_event() -> None:
     times = np.linspace(0.0, 3.0, 31)
     output = fmbd.Output(times=times, events=[fmbd.Event("ball z", 0.0, direction=-1)])

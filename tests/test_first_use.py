@@ -64,6 +64,24 @@ def dropped() -> Any:
     return scene
 
 
+def test_fields_of_what_is_made_are_not_set() -> None:
+    rod = fmbd.RigidBody("rod", 1.0, 0.1, (0.5, 0.0))
+    pin = fmbd.revolute("pin", fmbd.ground, rod, center=(0, 0))
+    spring = fmbd.joint_spring("spring", fmbd.angle(pin), stiffness=1.0)
+    lasting: list[tuple[Any, str]] = [(rod, "velocity"), (pin, "axis"), (spring, "stiffness")]
+    lasting += [
+        (fmbd.gear("gear", fmbd.angle(pin), 2 * fmbd.angle(pin), ratio=1.0), "motion"),
+        (fmbd.Output(), "every"),
+    ]
+    lasting += [(fmbd.GeneralizedAlpha(), "rho_inf"), (fmbd.Event("x"), "level")]
+    for made, field in lasting:
+        with pytest.raises(InputError, match=f"stays as it was made, with its {field}: make another one"):
+            setattr(made, field, 1.0)
+    with pytest.raises(InputError, match='RigidBody "rod" has no "velocty" to set. Did you mean "velocity"'):
+        rod.velocty = (1.0, 0.0)  # type: ignore[attr-defined]
+    assert rod.velocity is None
+
+
 def test_rigid_bodies_that_touch_need_no_scheme() -> None:
     run = fmbd.solve(dropped(), t_end=0.3, dt=1e-3)
     assert run.scheme.name == fmbd.Moreau().name

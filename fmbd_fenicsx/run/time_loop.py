@@ -390,7 +390,11 @@ class Loop:
         """How the march ended."""
         if self.event_met:
             return "ended by an event"
-        return "finished" if self.schedule.ended(self.state.t, self.progress.done) else "stopped"
+        if not self.schedule.ended(self.state.t, self.progress.done):
+            return "stopped"
+        if self.events is not None:
+            self.events.tell_unmet(self.recorder.series)
+        return "finished"
 
     def _counters(self) -> dict[str, float]:
         """Of the stepper, and how many steps were made again for open joints, or for want of balance."""

@@ -16,7 +16,7 @@ from typing import Any, overload
 
 import numpy as np
 
-from ...checks import function, instance, number, typed
+from ...checks import function, instance, number, typed, unchanging
 from ...errors import InputError, require
 from ...rotations import Motions
 from .constraints import Motion
@@ -126,6 +126,7 @@ def coordinates_of(
     return CoordinateSums(terms, factors, offsets, angular=coordinates[0].unit == ANGLE)
 
 
+@unchanging
 @dataclass(frozen=True, eq=False)
 class Coupling(Joint):
     """One row sum_k c_k s_k = motion(t) on joint coordinates."""

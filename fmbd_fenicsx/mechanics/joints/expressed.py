@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from ...checks import function as checked_function
-from ...checks import typed, vector
+from ...checks import typed, unchanging, vector
 from ...errors import InputError, require
 from ...rotations import Array, Motions
 from ..bodies.bodies import RigidBody
@@ -32,6 +32,7 @@ from .couplings import smooth_motion
 from .joints import Joint, Vector, center_point, dimension, direction, ground
 
 
+@unchanging
 @dataclass(frozen=True, eq=False)
 class ExpressedJoint(Joint):
     """Rows by formulas of a user's own; its two points are apart."""

@@ -29,7 +29,7 @@ from typing import Any
 
 import numpy as np
 
-from ...checks import number, shown, typed, vector, word
+from ...checks import number, shown, typed, unchanging, vector, word
 from ...errors import InputError, require
 from ...rotations import Array, tangents_of
 from ..bodies.bodies import RigidBody, Surface
@@ -65,6 +65,7 @@ class Ground:
 ground = Ground()
 
 
+@unchanging
 @dataclass(frozen=True, eq=False)
 class Joint:
     """Two attachments, their marker points (world, initial configuration; None: a surface's centroid), and rows."""

@@ -9,7 +9,7 @@ at once, and where the quartic through these crosses between them. Two crossings
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -19,6 +19,7 @@ from scipy.optimize import brentq
 
 from ...checks import check_fields, number
 from ...errors import InputError, near, require
+from ...log import log
 from ...polynomials import lagrange_values
 from ...rotations import Array
 from ...schemes.stepping import TimeStepper
@@ -35,6 +36,7 @@ PARTS = 8  # of a quarter in which its quartic is looked at
 FINE = np.linspace(0.0, 1.0, 4 * PARTS + 1)
 QUARTIC = lagrange_values(np.array([0.0, *QUARTERS, 1.0]), FINE)
 QUARTER = PARTS * np.arange(4)[:, None] + np.arange(PARTS + 1)
+UNMET = {0: "was not crossed", 1: "was not crossed upwards", -1: "was not crossed downwards"}  # by an event's direction
 ROUNDOFF = 4 * float(np.finfo(float).eps)
 
 
@@ -177,6 +179,16 @@ class EventWatch:
                 return state
             event.then(Moment(self.scene, self.system, self.markers, state, n))
         return None
+
+    def tell_unmet(self, recorded: Mapping[str, Array]) -> None:
+        """Say at the end of a run which events were to end it before."""
+        for event, (name, column) in zip(self.events, self.columns, strict=True):
+            if event.then is None:
+                values = recorded[name][:, column or 0]
+                log.warning(
+                    'event "%s": %g %s and did not end the run; records are from %.6g to %.6g',
+                    event.sensor, event.level, UNMET[event.direction], values.min(), values.max(),
+                )  # fmt: skip
 
     def _locate(self, k: int, at: Callable[[float], State], a: tuple[float, float], b: tuple[float, float]) -> float:
         """The instant of a crossing between two points (time, value): the later one of what has one value in a whole step, as
