@@ -13,7 +13,7 @@ from ..errors import Stopped
 from ..linear.condensation import StepSolver
 from ..linear.redundancy import not_unique
 from ..rotations import Array
-from ..schemes.declared import Declared
+from ..schemes.consistent import Correction
 from ..schemes.newton import Newton
 from ..system.element_memory import memories
 from ..system.scene.plan import make_plan
@@ -92,7 +92,7 @@ def run_once(
             times = begun, started, clock.perf_counter()
             counters = _counters(marched, task.newton, solver)
             _warn(task, problem, solver, marched, counters)
-        run = _run(task, built, found, solver, marched, counters, times)
+        run = _run(task, built, problem, found.correction, solver, marched, counters, times)
     finally:
         solver.destroy()
 
@@ -143,7 +143,8 @@ def _warn(task: Task, problem: Problem, solver: StepSolver, marched: Marched, co
 def _run(
     task: Task,
     built: Built,
-    start: ConsistentStart,
+    problem: Problem,
+    correction: Correction,
     solver: StepSolver,
     marched: Marched,
     counters: dict[str, float],
@@ -167,10 +168,10 @@ def _run(
         seconds=_seconds(built.seconds, marched, times),
         # how well it went
         drift=(recorder.drift.gap, recorder.drift.slip),
-        correction=start.correction,
+        correction=correction,
         local_error=marched.local_error,
         memory=_peak_memory(system.comm),
-        newton_accuracy=Declared.by(task.scheme).accuracy(task.newton),
+        newton_accuracy=problem.said.accuracy(task.newton),
         # what users should know
         status=marched.status,
         step_limit=task.schedule.largest,
