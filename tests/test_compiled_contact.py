@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from profiled import calls_of
+from test_contact import BLOCK
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.linear import condensation
@@ -122,6 +123,26 @@ def plate(friction: float, stop: bool) -> Any:
     return [body, hinge, fmbd.contact("pair", body.surface("tip"), ground, friction=friction, restitution=0.3)]
 
 
+def on_a_block(dim: int, friction: float) -> Any:
+    """A reduced rod on a hinge whose end falls on a reduced block on a spring, over whose edges it reaches."""
+    low, high = ("bottom", "top") if dim == 2 else ("back", "front")
+    elastic = fmbd.materials.linear_elastic(1e7, 0.3)
+
+    def made(name: str, size: Any, counts: Any, origin: Any, modes: int) -> Any:
+        flat = slice(0, 3) if dim == 3 else slice(0, 3, 2)
+        mesh = fmbd.read_gmsh(BLOCK, size=size[flat], counts=counts[flat], quads=True, origin=origin[flat])
+        return fmbd.FloatingBody(name, mesh, density=1000.0, elastic=elastic).reduced(modes=modes)
+
+    body = made("rod", (1.0, 0.2, 0.2), (5, 1, 1), (0.0, 0.0, 0.0), 3 if dim == 2 else 0)
+    base = made("base", (0.8, 0.3, 0.3), (3, 2, 1), (0.37, -0.07, -0.31), 2)
+    axis = {} if dim == 2 else {"axis": (0, -1, 0)}
+    hinge = fmbd.revolute("hinge", fmbd.ground, body.surface("left"), center=(0.0, 0.1, 0.1)[:dim], **axis)
+    rail = fmbd.prismatic("rail", fmbd.ground, base.surface(low), axis=tuple(np.eye(dim)[-1]))
+    spring = fmbd.joint_spring("spring", fmbd.displacement(rail), stiffness=5e5, damping=1e3)
+    pair = fmbd.contact("pair", body.surface(low), base.surface(high), friction=friction)
+    return [body, base, hinge, rail, spring, pair]
+
+
 def board() -> Any:
     """A board with a hundred points along its edge, which falls on a corner of the floor and tilts."""
     body = fmbd.RigidBody("board", 2.0, 0.2, (0.0, 0.31), angular_velocity=0.4)
@@ -190,18 +211,20 @@ SCENES = {
     "stops and friction": lambda: links(3, True), "reduced": lambda: plate(0.0, False),
     "dependent rows": loop, "many points": board,
     "reduced, friction": lambda: plate(0.4, False), "stop of reduced": lambda: plate(0.0, True),
+    "surfaces 2": lambda: on_a_block(2, 0.3), "surfaces 3": lambda: on_a_block(3, 0.3),
     "energy of an impact": tumbling, "own shape": lambda: in_a_bowl(False), "own shape carried": lambda: in_a_bowl(True),
     "rod": lambda: rope(0.0), "rod, friction": lambda: rope(0.3),
 }  # fmt: skip
 
 
-def run(name: str, **output: Any) -> Any:
+def run(name: str, t_end: float = 0.4, **output: Any) -> Any:
     """One run, with all that sensors read of contact."""
     items = SCENES[name]()
     pairs = [x for x in items if type(x).__name__ == "Contact"]
     scene = fmbd.Scene("contact", gravity=tuple(-9.81 * np.eye(items[0].dim)[-1]))
     scene.add(*items)
-    scene.sensor("place", fmbd.position(items[0] if isinstance(items[0], fmbd.RigidBody) else items[0].surface("tip")))
+    tip = None if isinstance(items[0], fmbd.RigidBody) else np.eye(items[0].dim)[0]
+    scene.sensor("place", fmbd.position(items[0], point=tip))
     if isinstance(items[0], fmbd.RigidBody):
         scene.sensor("velocity", fmbd.velocity(items[0]))
         scene.sensor("acceleration", fmbd.acceleration(items[0]))
@@ -215,7 +238,7 @@ def run(name: str, **output: Any) -> Any:
         scene.sensor(f"coordinate {stop.name}", stop.coordinate)
     scene.sensor("work", fmbd.contact_work())
     about = fmbd.Output(**output or {"every": 8}, progress=False)
-    return fmbd.solve(scene, t_end=0.4, dt=2e-3, scheme=fmbd.Moreau(), output=about)
+    return fmbd.solve(scene, t_end=t_end, dt=2e-3, scheme=fmbd.Moreau(), output=about)
 
 
 @pytest.mark.parametrize("name", SCENES)
@@ -243,6 +266,19 @@ def test_compiled_steps_are_those_of_numpy(name: str, monkeypatch: pytest.Monkey
         *(() if dependent else ("newton_iterations", "contact_newton_iterations")),
     ):
         assert compiled.counters[count] == numpy.counters[count], count
+
+
+def test_surfaces_that_meet_ask_python_for_little(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Which facets may see each other, once for many steps; gaps at given times too are those of C."""
+    times = (0.0105, 0.1503, 0.2507, 0.3101, 0.35055)
+    run("surfaces 2")
+    calls = [calls_of(lambda n=n: run("surfaces 2", every=200, t_end=n * 2e-3), "fmbd_fenicsx") for n in (100, 200)]
+    assert calls[1] - calls[0] < 100 * 5
+    found = run("surfaces 2", times=times)
+    assert found.counters["compiled_steps"] == found.counters["steps"] == 200
+    in_numpy(monkeypatch)
+    alone = run("surfaces 2", times=times)
+    np.testing.assert_allclose(found["contact_gap"], alone["contact_gap"], rtol=0.0, atol=1e-10)
 
 
 def column(impacts: int, *, early: bool = True) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 from itertools import groupby
 from typing import Any
@@ -22,6 +23,7 @@ Nodes = tuple[Array, Array, Array | None]
 
 
 NEAREST = 1e-6  # of the model's length: points with smaller gaps are near at any rate
+SIGHT = 1e-2  # the same: how far surfaces look for each other in a state that is no start of a step
 
 
 class Here:
@@ -179,6 +181,14 @@ class ContactSet:
             self._touched, here = None, Here(self, system, np.nan, q)
         for p in self.searching:
             p.update(here, reach, keep=keep)
+
+    def gaps_in(self, system: Any, states: Sequence[Any]) -> Array:
+        """Gaps (m) of all candidates in states within steps, (k, m), with surfaces paired as they lie there; collective."""
+        found = []
+        for s in states:
+            self.update(system, s.q, SIGHT * system.length)
+            found.append(self.touch(system, s.t, s.q).geometric)
+        return np.array(found)
 
     def gap_rate(self, system: Any, t: float, q: Array, h: float) -> Array:
         """Part of the gaps' rates that comes from prescribed motion, m/s, (m,), by central differences;

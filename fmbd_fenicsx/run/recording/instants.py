@@ -34,12 +34,12 @@ def state_between(
     contact = getattr(found, "contact", None)
     if contact is None:
         return found
-    from ...system.sensors.contact import ContactState, gaps_within, reads_gaps
+    from ...system.sensors.contact import ContactState, reads_gaps
 
     assert isinstance(found, ContactState)
     if not reads_gaps(system):
         return found
-    return replace(found, contact=replace(contact, gap=gaps_within(system, [found])[0]))
+    return replace(found, contact=replace(contact, gap=system.contacts.gaps_in(system, [found])[0]))
 
 
 def states_within(steps: KeptSteps, stepper: TimeStepper, roundoff: float) -> States:

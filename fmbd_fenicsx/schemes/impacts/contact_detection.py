@@ -8,7 +8,7 @@ import numpy as np
 
 from ...errors import ConvergenceError, InputError
 from ...log import log
-from ...mechanics.contact.contact_set import ContactSet
+from ...mechanics.contact.contact_set import SIGHT, ContactSet
 from ...mechanics.contact.obstacle_pair import ObstaclePair
 from ...mechanics.contact.rows import Rows, Touch
 from ...rotations import Array, tangents_of
@@ -48,7 +48,7 @@ def in_world(rows: Rows, force: Array) -> Array:
 
 def refuse_penetration(system: System, contacts: ContactSet, state: State) -> None:
     """Raise InputError when bodies overlap at the start, naming pair and depth; collective."""
-    contacts.update(system, state.q, 1e-2 * system.length)
+    contacts.update(system, state.q, SIGHT * system.length)
     rows = contacts.touch(system, state.t, state.q)
     near = np.zeros(len(contacts.names), dtype=bool)
     near[contacts.pair[np.isfinite(rows.geometric)]] = True

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -149,13 +148,6 @@ def _name(contact: Any) -> str:
 def reads_gaps(system: Layout) -> bool:
     """Whether a sensor reads gaps."""
     return any(isinstance(sensor, ContactSensor) and sensor.quantity == "gap" for sensor, _ in system.sensed)
-
-
-def gaps_within(system: Layout, states: Sequence[State]) -> Array:
-    """Gaps (m) of all candidates in states within steps, (k, m): forces are those of the step, gaps those of the places in the
-    state. Collective.
-    """
-    return np.array([system.contacts.touch(system, s.t, s.q).geometric for s in states])
 
 
 def contact_force(contact: Any) -> Sensor:

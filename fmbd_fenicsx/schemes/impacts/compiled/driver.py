@@ -15,7 +15,7 @@ import numpy as np
 from ....errors import ConvergenceError
 from ....kernel_cache import address_of
 from ....linear.complementarity.coulomb import PAINLEVE, PIVOTED
-from ....mechanics.contact.contact_set import ContactSet
+from ....mechanics.contact.contact_set import SIGHT, ContactSet
 from ....mechanics.contact.limits import LimitPair
 from ....mechanics.contact.obstacle_pair import ObstaclePair
 from ....mechanics.joints.relative import ExpressedCoordinate
@@ -89,10 +89,16 @@ MOST = 1024  # contacts closed at once: a step with more is NumPy's
 
 
 def known(contacts: ContactSet, pair: Any) -> bool:
-    """Whether the driver knows a pair: stops of a coordinate; points of bodies without a field, and an obstacle."""
+    """Whether the driver knows a pair: stops of a coordinate; points of bodies without a field, and an obstacle or a surface."""
     if type(pair) is LimitPair:
         return not isinstance(pair.relative, ExpressedCoordinate)
-    return type(pair) is ObstaclePair and pair.slave.trace not in contacts.on_fields
+    if pair.slave.trace in contacts.on_fields:
+        return False
+    if not pair.searches:
+        return type(pair) is ObstaclePair
+    from .facets import is_known
+
+    return pair.master.trace not in contacts.on_fields and is_known(pair)
 
 
 def numbers(address: int, size: int) -> Array:
@@ -105,9 +111,9 @@ class ContactDriver(PairTables):
 
     def __init__(self, system: System, plain: System, library: Any, rule: Moreau, *, redundant: int) -> None:
         self.rule, self.accumulations = rule, 0
-        self.library, pairs = library, system.contacts.pairs
-        stops = [pair.relative for pair in pairs if isinstance(pair, LimitPair)]
-        super().__init__(Tables(plain, redundant=redundant, coordinates=stops), system, pairs)
+        self.library = library
+        stops = [pair.relative for pair in system.contacts.pairs if isinstance(pair, LimitPair)]
+        super().__init__(Tables(plain, redundant=redundant, coordinates=stops), system)
         self.calls = Calls(self.tables)
         self.n, self.nq, self.m = system.n_v, system.n_q, system.n_lam
         self.ring = Ring(system, 3)
@@ -115,7 +121,6 @@ class ContactDriver(PairTables):
         self.parameters[BOUNDED] = float(np.isfinite(self.contacts.thickness).any())
 
         self.c = self._contacts()
-        self.c.python = self.function
         self._verdict = ctypes.c_int(0)
         self._tape: ContactTape | None = None
 
@@ -128,10 +133,9 @@ class ContactDriver(PairTables):
         room = min(m, MOST)
         rows = room * k
         wide = s.motions.n_twist + int(self.tables.modes.max(initial=0))
-        self._pairs()
-        on, place = self._points()
-        spheres = Spheres(contacts.pairs, [one.carrier for one in self.pairs], d)
-        for one, first in zip(self.pairs, spheres.first, strict=True):
+        common, pairs = self._common(), self.pairs[: len(contacts.pairs)]
+        spheres = Spheres(contacts.pairs, [one.carrier for one in pairs], d)
+        for one, first in zip(pairs, spheres.first, strict=True):
             one.mover = int(first)
 
         sizes = {
@@ -139,7 +143,7 @@ class ContactDriver(PairTables):
             "before": rows, "rebound": room, "slip": rows,
             "rows": 2 * (rows + k) * wide, "Y": rows * self.n, "push": self.n + self.m, "open": rows, "old": rows,
             "turns": self.tables.nb * d * d, "least": (41 + 4 * k) * rows, "ahead": self.nq, "xi": self.n, "still": self.n,
-            "kept": self.m + 1, "own": m * (1 + 2 * d),
+            "kept": self.m + 1,
             "saved": m * k + len(contacts.pairs) * d + 7, "rested": m,
             "struck": STRUCK, "path": (2 * self.rule.impacts + 2) * block_size(s),
         }  # fmt: skip
@@ -149,15 +153,10 @@ class ContactDriver(PairTables):
         places = {name: self._zeros(name, size) for name, size in sizes.items()}
 
         return Contacts(
-            **self._spheres(spheres), **self._trees(), **self._problem(room, k),
-            moving=int(any(pair.moving for pair in contacts.pairs)),
-            pairs=len(contacts.pairs), points=m, components=k, known=0, room=room, pair=ctypes.addressof(self.pairs),
-            stops=len(self.stops), wide=wide, on=self._array("on", on, np.int32),
-            of=self._array("of", contacts.pair, np.int32), place=self._array("place", place),
+            **common, **self._spheres(spheres), **self._trees(), **self._problem(room, k),
+            room=room, stops=len(self.stops), wide=wide,
             **{name: self._zeros(name, size, np.int32) for name, size in counts.items()},
-            now=self._touch("now", m, d), end=self._touch("end", m, d), aside=self._touch("aside", m, d),
             loaded=int(bool(s.forces)), size=self.n, most=2 * self.rule.impacts, early=int(self.rule.early),
-            system=ctypes.addressof(self.tables.c),
             **places,
         )  # fmt: skip
 
@@ -233,7 +232,8 @@ class ContactDriver(PairTables):
         """Write gaps (m) of all points in k states in front of ``numbers`` (k, ..); whether there are some."""
         blocks = blocks_of(self.tables.twin, states)
         count, wide = numbers.shape
-        found = self.library.moreau_gaps(ctypes.addressof(self.c), count, address_of(blocks), wide, address_of(numbers))
+        into, reach = address_of(numbers), SIGHT * self.system.length
+        found = self.library.moreau_gaps(ctypes.addressof(self.c), count, address_of(blocks), wide, into, reach)
         return not found
 
     def march(self, h: float, steps: int, newton: Newton, tape: Tape | None = None) -> int:

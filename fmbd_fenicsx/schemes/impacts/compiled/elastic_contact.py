@@ -26,15 +26,14 @@ from ....system.sensors.contact import ContactForces, ContactState
 from ..contact_ledger import SHORT
 from ..contact_newton import small_problem
 from ..elastic_step import MARGIN, RELIED, Confirmed
-from .pairs import COMPLEMENTARITY, FACETS, NEARBY, PairTables, SurfacePoints
+from .pairs import COMPLEMENTARITY, NEARBY, PairTables
 from .pairs import MEETING as FACING
 from .problem import CompiledProblem
-from .structures import BOOKS, ELASTIC_CONTACT, MEANS, MEETING, NODES, Contacts
+from .structures import BOOKS, ELASTIC_CONTACT, NODES, Contacts
 from .tape import ContactTape
 
 if TYPE_CHECKING:
     from ..elastic_contact_stepper import ElasticContactStepper
-    from .facets import FacingSurfaces
 
 _NUMBERS = enumeration("LOADS", BOOKS)  # of what is kept with a state
 CONFIRMED, TIME, KEPT = (_NUMBERS[x] for x in ("CONFIRMED", "TIME", "KEPT"))
@@ -46,31 +45,18 @@ class Encounters(PairTables):
     def __init__(
         self, tables: Tables, stepper: ElasticContactStepper, by: tuple[CompiledProblem, Compliance, FieldDriverSolver]
     ) -> None:
-        laws = list(stepper.contacts.pairs)
-        facing = [k for k, pair in enumerate(laws) if pair.searches]
-        surfaces = [SurfacePoints(side) for k in facing for side in (laws[k].slave, laws[k].master)]
-        super().__init__(tables, stepper.system, [*laws, *surfaces])
+        super().__init__(tables, stepper.system)
+        laws = self.contacts.pairs
         self.problem, self.compliance, self.driver = by
         self.laws, self.candidates = len(laws), len(self.contacts.pair)
 
-        self._pairs()
-        counts = [pair.count for pair in self.listed]
-        on, place = self._points()
-        m, s, d = len(on), tables.system, tables.dim
-        self.c = Contacts(
-            pairs=len(self.listed), points=m, components=d if self.contacts.frictional else 1,
-            moving=int(any(pair.moving for pair in laws)), pair=ctypes.addressof(self.pairs),
-            on=self._array("on", on, np.int32), of=self._array("of", np.repeat(np.arange(len(counts)), counts), np.int32),
-            place=self._array("place", place), own=self._zeros("own", m * (1 + 2 * d)),
-            now=self._touch("now", m, d), end=self._touch("end", m, d), aside=self._touch("aside", m, d),
-            python=self.function, system=ctypes.addressof(tables.c),
-        )  # fmt: skip
+        s, m = tables.system, self.candidates
+        self.c = Contacts(keeps=int(stepper.keeps_overlaps), **self._common())
 
         system = self.system
         self.structure = ELASTIC_CONTACT(
-            contacts=ctypes.addressof(self.c), laws=self.laws, candidates=self.candidates, share=stepper.share,
-            keeps=int(stepper.keeps_overlaps), least=NEAREST * system.length, loaded=int(bool(system.forces)),
-            smooth=int(stepper.smooth), length=system.length,
+            contacts=ctypes.addressof(self.c), share=stepper.share, least=NEAREST * system.length,
+            loaded=int(bool(system.forces)), smooth=int(stepper.smooth), length=system.length,
             linear=int(not any(part.field.nonlinear for _, part in system.fields)),
             search=self._array("search", [np.nan if pair.search is None else pair.search for pair in laws]),
             room=self._zeros("room", 3 * s.n_v + s.n_q + 4 * s.n_lam), margin=MARGIN, relies=RELIED, brief=SHORT,
@@ -78,14 +64,12 @@ class Encounters(PairTables):
             utmost=self.compliance.most,
             listed=self._zeros("listed", m, np.int32), near=self._zeros("near", m, np.int32),
             sways=self._zeros("sways", s.n_frames, np.int32), factored=self._zeros("factored", s.n_q),
-            offset=self._zeros("offset", self.candidates),
         )  # fmt: skip
 
         self.address: int = ctypes.addressof(self.structure)
         self._first = self.c.now.gap  # of the two rooms that C takes in turn
         self._room = 0, 0  # rows that there is room for, and columns
         self._take_traces()
-        self._take_means(facing)
         self._share_out()
 
     # -- what rows act on ----------------------------------------------------------------------------------------------------
@@ -97,7 +81,7 @@ class Encounters(PairTables):
         first = 0
         for i, one in zip(self.traces, self._nodes_of_traces, strict=True):
             trace = contacts.traces[i]
-            one.size, one.first, one.extent = trace.n, first, trace.size
+            one.size, one.first = trace.n, first
             first += trace.n
 
         o.traces, o.nodes = len(self.traces), ctypes.addressof(self._nodes_of_traces)
@@ -107,37 +91,6 @@ class Encounters(PairTables):
             self._zeros(name, first, np.int32) for name in ("touched", "among", "answered")
         )
         o.reply = self._zeros("reply", first * self.tables.dim * self.c.components)
-
-    def _take_means(self, facing: list[int]) -> None:
-        """Of which points: before an obstacle of one, between surfaces of those that their facets tell."""
-        surface = np.full((self.laws, 2), -1)
-        self._means = (MEANS * (2 * self.laws))()
-        self.meetings: list[FacingSurfaces] = []
-        for k in range(self.laws):
-            count, mean, other = self.listed[k].count, self._means[2 * k], self._means[2 * k + 1]
-            if k not in facing:
-                surface[k, 0] = k
-                mean.first = self._array(f"first {k}", np.arange(count + 1), np.int32)
-                mean.node = self._array(f"one {k}", np.arange(count), np.int32)
-                mean.weight = self._array(f"whole {k}", np.ones(count))
-                continue
-            from .facets import FacingSurfaces
-
-            for side, one in enumerate((mean, other)):
-                one.first = self._zeros(f"first {side} {k}", count + 1, np.int32)
-            number = len(self.meetings)
-            slave = self.laws + 2 * number
-            surface[k] = slave, slave + 1
-            self.meetings.append(FacingSurfaces(self.listed[k], number, (k, slave, slave + 1), self._array))
-
-        o, size = self.structure, ctypes.sizeof(MEANS)
-        self._meetings = (MEETING * len(self.meetings))(*(one.c for one in self.meetings))
-        o.meetings, o.meeting = len(self.meetings), ctypes.addressof(self._meetings)
-        o.means, o.surface = ctypes.addressof(self._means), self._array("surface", surface, np.int32)
-        for meeting, c in zip(self.meetings, self._meetings, strict=True):
-            meeting.c = c
-            c.means = o.means + 2 * size * c.pair
-            c.offset = o.offset + self.arrays["offset"].itemsize * self.pairs[c.pair].first
 
     # -- what is kept with a state -------------------------------------------------------------------------------------------
     def _share_out(self) -> None:
@@ -210,9 +163,6 @@ class Encounters(PairTables):
     def _answer(self, what: int, number: int, t: float) -> None:
         if what == NEARBY:
             self._make_ready(number)
-        elif what == FACETS:
-            k = 2 * self._meetings[number].pair
-            self.meetings[number].list_facets(self.arrays, (self._means[k], self._means[k + 1]))
         elif what == COMPLEMENTARITY:
             W, opening, mu, force = self.problem.posed
             force[:] = small_problem(None, W, (opening, mu), force, self.counts)

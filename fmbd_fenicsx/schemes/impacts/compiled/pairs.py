@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,7 +18,11 @@ from ....rotations import Array
 from ....system.compiled.declarations import PYTHON, enumeration
 from ....system.compiled.tables.tables import Tables
 from ....system.system import System
-from .structures import SOURCE, Touch, structure
+from .structures import MEANS, SOURCE, Touch, structure
+from .structures import MEETING as MET
+
+if TYPE_CHECKING:
+    from .facets import FacingSurfaces
 
 POSE_OF, COMPLEMENTARITY, DISTANCES, RESTED, NEARBY, FACETS = enumeration("POSE_OF", SOURCE).values()
 *_, SURFACE, LIMIT, OWN, MEETING = enumeration("HALF_SPACE", SOURCE).values()  # behind the shapes that the driver knows
@@ -52,15 +55,22 @@ def shape_data(shape: Shape, dim: int) -> tuple[int, list[float]]:
 
 
 class PairTables:
-    """Pairs of contacts of a system, with the bodies of some tables; ``arrays``: what C reads and writes."""
+    """Pairs of contacts of a system, with the bodies of some tables; ``arrays``: what C reads and writes.
+
+    ``listed``: the pairs with laws first, then the surfaces of those that meet, slave and master.
+    """
 
     c: Any  # the structure Contacts
     pairs: Any  # and those of the pairs
 
-    def __init__(self, tables: Tables, system: System, listed: Sequence[Any]) -> None:
-        self.tables, self.system, self.listed = tables, system, list(listed)
+    def __init__(self, tables: Tables, system: System) -> None:
+        self.tables, self.system = tables, system
         self.contacts: ContactSet = system.contacts
-        self.stops = [pair for pair in listed if isinstance(pair, LimitPair)]
+        laws = self.contacts.pairs
+        self.facing = [k for k, pair in enumerate(laws) if pair.searches]
+        surfaces = [SurfacePoints(side) for k in self.facing for side in (laws[k].slave, laws[k].master)]
+        self.listed: list[Any] = [*laws, *surfaces]
+        self.stops = [pair for pair in laws if isinstance(pair, LimitPair)]
         self.arrays: dict[str, np.ndarray] = {}
         self.function = PYTHON(self.answer)
 
@@ -73,6 +83,59 @@ class PairTables:
         """The address of so many zeros, which take memory where they are written first."""
         self.arrays[name] = np.zeros(size, dtype)
         return int(self.arrays[name].ctypes.data)
+
+    def _common(self) -> dict[str, Any]:
+        """What all structures Contacts hold: pairs, their points and laws, and where these stand."""
+        self._pairs()
+        counts = [pair.count for pair in self.listed]
+        on, place = self._points()
+        m, points, d = len(on), len(self.contacts.pair), self.tables.dim
+        return {
+            "pairs": len(self.listed), "laws": len(self.contacts.pairs), "points": points, "pair": ctypes.addressof(self.pairs),
+            "moving": int(any(pair.moving for pair in self.contacts.pairs)), "components": d if self.contacts.frictional else 1,
+            "on": self._array("on", on, np.int32), "place": self._array("place", place),
+            "of": self._array("of", np.repeat(np.arange(len(counts)), counts), np.int32),
+            "own": self._zeros("own", points * (1 + 2 * d)), "python": self.function,
+            "now": self._touch("now", m, d), "end": self._touch("end", m, d), "aside": self._touch("aside", m, d),
+            "system": ctypes.addressof(self.tables.c), **self._surfaces(),
+        }  # fmt: skip
+
+    def _surfaces(self) -> dict[str, int]:
+        """Of which points rows act on means: before an obstacle of one, between surfaces of those that their facets tell."""
+        laws = len(self.contacts.pairs)
+        surface, size = np.full((laws, 2), -1), ctypes.sizeof(MEANS)
+        self._means = (MEANS * (2 * laws))()
+        offset = self._zeros("offset", len(self.contacts.pair))
+        self.meetings: list[FacingSurfaces] = []
+        for k, pair in enumerate(self.listed[:laws]):
+            mean, other = self._means[2 * k], self._means[2 * k + 1]
+            if k not in self.facing:
+                if pair.slave.surface is None:
+                    continue
+                surface[k, 0] = k
+                mean.first = self._array(f"first {k}", np.arange(pair.count + 1), np.int32)
+                mean.node = self._array(f"one {k}", np.arange(pair.count), np.int32)
+                mean.weight = self._array(f"whole {k}", np.ones(pair.count))
+                continue
+            from .facets import FacingSurfaces
+
+            for side, one in enumerate((mean, other)):
+                one.first = self._zeros(f"first {side} {k}", pair.count + 1, np.int32)
+            number = len(self.meetings)
+            slave = laws + 2 * number
+            surface[k] = slave, slave + 1
+            self.meetings.append(FacingSurfaces(pair, number, (k, slave, slave + 1), self._array))
+
+        self._met = (MET * len(self.meetings))(*(one.c for one in self.meetings))
+        for meeting, c in zip(self.meetings, self._met, strict=True):
+            meeting.c = c
+            c.means = ctypes.addressof(self._means) + 2 * size * c.pair
+            c.offset = offset + self.arrays["offset"].itemsize * self.pairs[c.pair].first
+            self.pairs[c.pair].meeting = ctypes.addressof(c)
+        return {
+            "meetings": len(self.meetings), "meeting": ctypes.addressof(self._met), "means": ctypes.addressof(self._means),
+            "surface": self._array("surface", surface, np.int32), "offset": offset,
+        }  # fmt: skip
 
     def _touch(self, name: str, m: int, d: int) -> ctypes.Structure:
         """Room for where all points stand."""
@@ -108,6 +171,7 @@ class PairTables:
         """What moves the nodes of a surface in their body: modes, or coordinates of their own."""
         trace: Any = self.contacts.traces[pair.slave.trace]
         nodes, d = pair.trace_nodes, self.tables.dim
+        one.extent = trace.size
         if isinstance(trace, FieldTrace):
             first = self.tables.system.slices[0][trace.part].start
             one.node = self._array(f"nodes {one.first}", first + d * trace.own[nodes], np.int32)
@@ -184,8 +248,11 @@ class PairTables:
         return 0
 
     def _answer(self, what: int, number: int, t: float) -> None:
-        """The pose of an obstacle, or distances to a shape of the user's own."""
-        if what == POSE_OF:
+        """The pose of an obstacle, distances to a shape of the user's own, or which facets may see each other."""
+        if what == FACETS:
+            k = 2 * self._met[number].pair
+            self.meetings[number].list_facets(self.arrays, (self._means[k], self._means[k + 1]))
+        elif what == POSE_OF:
             self.pairs[number].pose[:] = list(self.listed[number].carrier.motion(t))
         else:
             self._distances(number)

@@ -120,7 +120,7 @@ class CompiledMoreauStepper(CompiledSteps, MoreauStepper):
 
         self.compiled += made
         self.solver.core.factorisations += made
-        self._count_increments(p, made)
+        self._count_increments(p, c.tally.iterated)
         self.local_error = float(p[slots.LOCAL])
         self._count()
 

@@ -13,7 +13,7 @@ from ....system.compiled.recording import Recorded
 from ....system.compiled.tables.layout import TableLayout
 from ....system.compiled.tape import Openness, Tape
 from ....system.layout import State, States
-from ....system.sensors.contact import WORKS, ContactForces, ContactState, gaps_within, reads_gaps
+from ....system.sensors.contact import WORKS, ContactForces, ContactState, reads_gaps
 from ....system.system import System
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ class ContactTape(Tape):
             return own
         numbers = own.copy()
         if self._gaps is None or not self._gaps(states, numbers):
-            gaps = gaps_within(self.whole_system, states.each())
+            gaps = self.contacts.gaps_in(self.whole_system, states.each())
             numbers[:, : gaps.shape[1]] = gaps
         return numbers
 

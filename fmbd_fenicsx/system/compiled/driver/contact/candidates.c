@@ -171,8 +171,8 @@ static int touch(Contacts *c, const double *q, double t, Touch *out)
 /* All others, into c->now. */
 static int touch_others(Contacts *c, const double *q, double t)
 {
-    if (c->nears == c->pairs) return 0;
-    for (int k = 0; k < c->pairs; k++)
+    if (c->nears == c->laws) return 0;
+    for (int k = 0; k < c->laws; k++)
         if (!c->listed[k] && touch_pair(c, c->pair + k, q, t, &c->now)) return 1;
     return 0;
 }
@@ -192,7 +192,7 @@ static int begin_list(Contacts *c, double h, double length)
 {
     const double way = h * fastest(c, c->here.v), least = LEAVES * DRIFTING * length;
     const int lasts = c->known && 2.0 * (wandered(c, c->here.q) + 2.0 * way) <= c->skin;
-    const int before = c->known ? c->nears : c->pairs;
+    const int before = c->known ? c->nears : c->laws;
     int kept = 0;
 
     for (int k = 0; k < before; k++) {

@@ -18,6 +18,8 @@ typedef struct {
     long oldest;                              /* which of them is the oldest */
     double *modes;                            /* count x D x modes: of nodes of a reduced body, NULL for points fixed in a body */
     int *node;                                /* count: of nodes of a field, where in q their displacements are; else NULL */
+    double extent;                            /* of the body of these nodes, m */
+    struct Meeting *meeting;                  /* MEETING: of whose surfaces, see facets.c */
     Batch *batch;                             /* LIMIT: of the coordinate, which is its item; */
     long item;
     int mover;                                /* the sphere of its points; -1: may be anywhere */
@@ -36,9 +38,9 @@ typedef struct {
     double *gap, *x, *normal, *relative;
 } Touch;
 
-/* What is counted of contacts; a step that is given back counts nothing. */
+/* What is counted of contacts, and Newton's iterations on parts of steps; a step that is given back counts nothing. */
 typedef struct {
-    long solves, iterations, changes, cycles, steps, newton, impacts, products, struck;
+    long solves, iterations, changes, cycles, steps, newton, impacts, products, struck, iterated;
     double residual;
 } Tally;
 
@@ -77,9 +79,15 @@ typedef struct Lumped {
 } Lumped;
 
 typedef struct {
-    int pairs, points, components, known;     /* known: whether ``now`` is that of the newest state */
+    int pairs, laws, points, components;      /* pairs with laws stand first, then the surfaces of those that meet; points of laws */
+    int known;                                /* whether ``now`` is that of the newest state */
     int room, moving;                         /* contacts that may be closed at once; whether obstacles move as prescribed */
     Pair *pair;
+    int meetings, keeps;                      /* pairs of surfaces, see facets.c; whether overlaps found stay; */
+    struct Meeting *meeting;
+    int *surface;                             /* laws x 2: the pairs whose points rows act on, -1 for none */
+    struct Means *means;                      /* laws x 2: of these points */
+    double *offset;                           /* points: overlaps that are not pushed out, m */
     int stops, wide;                          /* whether there are stops; TWIST and the most modes of a body */
     int *on, *of;                             /* points x 2: bodies, -1 for none; points: pair */
     double *place, *still;                    /* points x D: in the body; velocities of a system at rest */
@@ -95,7 +103,7 @@ typedef struct {
     int *carrying, *closed, *bouncing, *hits; /* points; hits: whether impacts accumulate in a step */
     double *held, *force, *normal;            /* points x components: forces in flights; points x D: mean ones of a step, world axes; */
                                               /* points: their normal parts */
-    double *impulse, *works;                  /* pairs x D; 5: see sensors/contact.py */
+    double *impulse, *works;                  /* laws x D; 5: see sensors/contact.py */
     double energy, springs, time, last;       /* time: when forces act; last: error of the last part */
     int loaded;                               /* whether there are force elements */
     double *rows, *drift, *rate;              /* of closed contacts: components x 2 wide, body axes; tangential; of gaps */
@@ -250,15 +258,34 @@ static void stand(const Contacts *c, const Pair *o, Touch *out)
     }
 }
 
-/* A point in the axes of its body: fixed, or a node that modes move. */
-static void local_place(const Contacts *c, const Pair *o, int i, const double *q, double *P)
+/* What the coordinates x of its body alone do to point i of a pair, in its axes: nothing to one that is fixed there. */
+static void add_deformed(const Body *body, const Pair *o, int i, const double *x, double *P)
 {
-    const Body *body = c->system->body + c->on[2 * i];
-    memcpy(P, c->place + D * i, D * sizeof(double));
-    if (o->node) add(P, 1.0, q + o->node[i - o->first], D);
+    if (o->node) add(P, 1.0, x + o->node[i - o->first] - body->at_q, D);
     if (!o->modes) return;
     const double *modes = o->modes + (long)D * body->modes * (i - o->first);
-    for (int j = 0; j < D; j++) P[j] += dot(modes + j * body->modes, q + body->at_q, body->modes);
+    for (int j = 0; j < D; j++) P[j] += dot(modes + j * body->modes, x, body->modes);
+}
+
+/* A bound of the speed of all nodes of surfaces: what their bodies do, and what deforms these. */
+static double fastest_node(const Contacts *c, const double *v)
+{
+    double fastest = 0.0;
+    for (const Pair *k = c->pair; k < c->pair + c->pairs; k++) {
+        if (k->meeting || !(k->node || k->modes)) continue;
+        const int b = c->on[2 * k->first];
+        const Body *body = c->system->body + b;
+        double turning = 0.0, speed = 0.0, most = 0.0;
+        for (int j = 0; j < D; j++) speed += fabs(v[TWIST * b + j]);
+        for (int j = D; j < TWIST; j++) turning += fabs(v[TWIST * b + j]);
+        for (int i = k->first; i < k->first + k->count; i++) {
+            double rate[D] = {0.0};
+            add_deformed(body, k, i, v + body->at_v, rate);
+            most = fmax(most, length_of(rate));
+        }
+        fastest = fmax(fastest, most + (rests(body) ? 0.0 : speed + turning * k->extent));
+    }
+    return fastest;
 }
 
 /* Signed distances and gradients of the points of an own shape, all in one call; 1 where Python failed. */
@@ -277,8 +304,8 @@ static double distance_of(const Contacts *c, const Pair *o, int i, const double 
     return told[i];
 }
 
-/* The points of one pair at a configuration; those of stops at the frames placed last. 1 where Python failed. */
-static int touch_pair(const Contacts *c, Pair *o, const double *q, double t, Touch *out)
+/* The points of a pair or of a surface at a configuration; those of stops at the frames placed last. 1 where Python failed. */
+static int touch_points(const Contacts *c, Pair *o, const double *q, double t, Touch *out)
 {
     double r[D], R[D * D];
     if (o->shape == LIMIT) {
@@ -289,9 +316,11 @@ static int touch_pair(const Contacts *c, Pair *o, const double *q, double t, Tou
 
     for (int i = o->first; i < o->first + o->count; i++) {
         const double *pose = q + POSE * c->on[2 * i];
+        const Body *body = c->system->body + c->on[2 * i];
         double *x = out->x + D * i, P[D], Rb[D * D], way[D];
         rotation(pose, Rb);
-        local_place(c, o, i, q, P);
+        memcpy(P, c->place + D * i, D * sizeof(double));
+        add_deformed(body, o, i, q + body->at_q, P);
         times(Rb, P, x);
         for (int j = 0; j < D; j++) x[j] += pose[j], way[j] = x[j] - r[j];
         transposed(R, way, out->relative + D * i);

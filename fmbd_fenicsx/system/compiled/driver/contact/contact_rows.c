@@ -52,35 +52,53 @@ static void stop_row(const Contacts *c, int i, const Pair *o, double *row)
     }
 }
 
-/* What the modes of a reduced body do to the velocity of its node i along e. */
-static void modal_row(const Contacts *c, int i, const Pair *o, const double *q, const double *e, double *row)
+/* The row of a mean of points with this sum of weights along e, on the twist of a frame, in its body axes. */
+static void mean_row(const double *pose, double weight, const double *mean, const double *e, double sign, double *row)
 {
-    const Body *body = c->system->body + c->on[2 * i];
-    const double *modes = o->modes + (long)D * body->modes * (i - o->first);
-    double R[D * D], local[D];
-    rotation(q + POSE * c->on[2 * i], R);
-    transposed(R, e, local);
-    for (int j = 0; j < D; j++) add(row + TWIST, local[j], modes + j * body->modes, body->modes);
+    double y[D];
+    for (int j = 0; j < D; j++) y[j] = mean[j] + (1.0 - weight) * pose[j];
+    frame_row(pose, y, e, sign, row);
+    for (int j = 0; j < D; j++) row[j] *= weight;
+}
+
+/* What one side of contact i gives its rows, which hold zeros, along the directions e: on a frame, and on modes that move its nodes. */
+static void rows_on_body(const Contacts *c, int i, int side, const double *q, const Touch *at, const double *e, double *row)
+{
+    const int b = c->on[2 * i + side], modes = c->system->body[b].modes;
+    const double sign = side ? -1.0 : 1.0, *pose = q + POSE * b;
+    const Mean k = mean_of(c, i, side);
+    double mean[D], R[D * D], local[D];
+    if (!k.points) {
+        for (int a = 0; a < c->components; a++) frame_row(pose, at->x + D * i, e + D * a, sign, row + 2 * c->wide * a);
+        return;
+    }
+
+    const double weight = mean_place(&k, at->x, mean);
+    rotation(pose, R);
+    for (int a = 0; a < c->components; a++, row += 2 * c->wide, e += D) {
+        mean_row(pose, weight, mean, e, sign, row);
+        transposed(R, e, local);
+        for (int n = 0; n < k.count; n++)
+            for (int j = 0; j < D; j++)
+                add(row + TWIST, sign * k.weight[n] * local[j], k.points->modes + (long)modes * (D * k.node[n] + j), modes);
+    }
 }
 
 /* Rows of contact i on both bodies: normal, then across where there is friction; those of a stop, which has none, are alike. */
 static void contact_rows(const Contacts *c, int i, const double *q, const Touch *at, double *rows)
 {
     const Pair *o = c->pair + c->of[i];
-    double e[D * D], *row = rows;
-    memcpy(e, at->normal + D * i, D * sizeof(double));
-    if (c->components > 1 && o->shape != LIMIT) across(e, e + D);
-    for (int k = 0; k < c->components; k++, row += 2 * c->wide) {
-        if (o->shape == LIMIT) {
-            stop_row(c, i, o, row);
-            continue;
-        }
-
-        memset(row, 0, 2 * c->wide * sizeof(double));
-        frame_row(q + POSE * c->on[2 * i], at->x + D * i, e + D * k, 1.0, row);
-        if (o->modes) modal_row(c, i, o, q, e + D * k, row);
-        if (o->carrier >= 0) frame_row(q + POSE * o->carrier, at->x + D * i, e + D * k, -1.0, row + c->wide);
+    double e[D * D];
+    if (o->shape == LIMIT) {
+        for (int a = 0; a < c->components; a++) stop_row(c, i, o, rows + 2 * c->wide * a);
+        return;
     }
+
+    memcpy(e, at->normal + D * i, D * sizeof(double));
+    if (c->components > 1) across(e, e + D);
+    memset(rows, 0, 2 * c->wide * c->components * sizeof(double));
+    for (int side = 0; side < 2; side++)
+        if (c->on[2 * i + side] >= 0) rows_on_body(c, i, side, q, at, e, rows + c->wide * side);
 }
 
 /* A row of contact i times an array like v. */

@@ -1,25 +1,18 @@
 /* What bodies may touch in the steps of a march, and the books of contact, as schemes/impacts/contact_ledger.py has them. */
 
-#include "contact/facets.c"
-
 /* The nodes of a field that may touch: numbers of the trace, and where they begin among those of all; columns of H, and where those of
-   the field begin; E^-1 and its columns Y there, see linear/complementarity/delassus.py; nodes that rows near act on; m, see extent. */
+   the field begin; E^-1 and its columns Y there, see linear/complementarity/delassus.py; nodes that rows near act on. */
 typedef struct {
     int size, first, columns, at;
     const double *C, *Y;               /* size x size; size x columns */
     int begin, end;                    /* among those touched */
-    double extent;                     /* of the body, m */
     const int *start, *column;         /* of E there, by blocks D x D: where each row begins, and nodes of its blocks */
     const double *E;
 } Nodes;
 
 typedef struct ElasticContact {
     Contacts *contacts;                /* candidates first, then nodes of surfaces that meet others */
-    int laws, candidates;              /* pairs of candidates, and these */
-    int meetings, keeps, loaded;       /* pairs of surfaces; whether overlaps found stay; whether there are force elements */
-    Meeting *meeting;
-    int *surface;                      /* laws x 2: the pairs whose points rows act on, -1 for none */
-    Means *means;                      /* laws x 2: of these points */
+    int loaded;                        /* whether there are force elements */
     double share, least;               /* of a step at which its forces act; gaps below this are near, m */
     const double *search;              /* laws: gaps below this, where it was chosen, else nan */
     double *room;                      /* 3 nv + nq + 4 rows */
@@ -36,7 +29,7 @@ typedef struct ElasticContact {
     int count, ready, rounds, turned;  /* of those near; whether Python has made room for them; how often points joined in; whether normals */
     int matrix, increments, iterations; /* have turned in the step; whether its W is known; increments of an iteration */
     double known_scale;                /* of the W known, 0 for none */
-    double *factored, *offset;         /* nq: the configuration of the matrix; candidates: overlaps that are not pushed out, m */
+    double *factored;                  /* nq: the configuration of the matrix */
     double *rows, *direction, *axes, *start, *change, *stopped, *rates; /* of those near, components each: WIDE; D; 2 D; 1 .. */
     double *push, *seen, *answer, *acting; /* core; columns; core; columns */
     double *reply;                     /* D of each node touched */
@@ -49,12 +42,11 @@ enum { LOADS = 2, JOINTS, REST, ENERGY, SPRINGS, IMPACTS, BRIEF, IN_CONTACT, INC
 enum { FIRST_ONE = 1, SECOND, RELIES };
 
 /* All points at a configuration. */
-static int look_at_points(ElasticContact *o, const double *q, double t, Touch *out)
+static int look_at_points(const ElasticContact *o, const double *q, double t, Touch *out)
 {
     Contacts *c = o->contacts;
-    for (Pair *k = c->pair; k < c->pair + c->pairs; k++)
-        if (k->shape != MEETING && touch_pair(c, k, q, t, out)) return FAILED;
-    for (const Meeting *k = o->meeting; k < o->meeting + o->meetings; k++) touch_facets(c, k, out);
+    for (Pair *k = c->pair; k < c->pair + c->laws; k++)
+        if (touch_pair(c, k, q, t, out)) return FAILED;
     return DONE;
 }
 
@@ -65,7 +57,7 @@ static int look_at_points(ElasticContact *o, const double *q, double t, Touch *o
 static void write_contacts(const ElasticContact *o, double h, double time, const double *xi, const Block *now, const Block *out)
 {
     const Contacts *c = o->contacts;
-    const int d = c->components, m = o->candidates;
+    const int d = c->components, m = c->points;
     double *own = out->own, *held = own + o->at_held, *force = held + m * d, *impulse = own + o->at_impulse;
     double *since = own + o->at_since;
     int acts = 0;
@@ -85,7 +77,7 @@ static void write_contacts(const ElasticContact *o, double h, double time, const
             add(impulse + D * c->of[i], h * f, o->direction + D * r, D);
         }
 
-    for (int p = 0; p < o->laws; p++) {
+    for (int p = 0; p < c->laws; p++) {
         const Pair *k = c->pair + p;
         if (largest(held + d * k->first, d * k->count) > 0.0) {
             since[p] += 1.0, acts = 1;
@@ -149,12 +141,12 @@ void pass_contact(ElasticContact *o)
 void record_contact(const ElasticContact *o, const Block *out, double *to, long place)
 {
     const Contacts *c = o->contacts;
-    const int m = o->candidates, d = c->components, pushed = o->laws * D;
+    const int m = c->points, d = c->components, pushed = c->laws * D;
     const double *own = out->own, *held = own + o->at_held, *from[] = {c->end.x, c->end.normal};
     const double *kept[] = {held + m * d, own + o->at_impulse, own, own + TIME};
     const int sizes[] = {m * D, pushed, WORKS, 1};
     to += place * (m * (2 + 3 * D) + pushed + WORKS + 1);
-    for (int i = 0; i < m; i++) *to++ = c->end.gap[i] + o->offset[i];
+    for (int i = 0; i < m; i++) *to++ = c->end.gap[i] + c->offset[i];
     for (int k = 0; k < 2; k++, to += m * D) memcpy(to, from[k], m * D * sizeof(double));
     for (int i = 0; i < m; i++) *to++ = held[d * i];
     for (int k = 0; k < 4; to += sizes[k++]) memcpy(to, kept[k], sizes[k] * sizeof(double));

@@ -43,7 +43,7 @@ static int gather_near(ElasticContact *o)
     Contacts *c = o->contacts;
     int count = 0, same = 1, known, shared;
     const Problem *P = &o->problem->all;
-    for (int i = 0; i < o->candidates; i++)
+    for (int i = 0; i < c->points; i++)
         if (o->listed[i]) {
             same = same && count < o->count && o->near[count] == i;
             o->near[count++] = i;
@@ -59,35 +59,6 @@ static int gather_near(ElasticContact *o)
     o->ready = o->known_scale = 0;
     if (c->python(NEARBY, count, 0.0)) return FAILED;
     o->ready = 1;
-    return DONE;
-}
-
-/* Pair surfaces anew for a step of size h: facets look as far as nodes move in four of them. */
-static int pair_surfaces(ElasticContact *o, double h, const Block *now)
-{
-    Contacts *c = o->contacts;
-    double fastest = 0.0;
-    if (!o->meetings) return DONE;
-
-    for (int p = 0; p < c->pairs; p++) {
-        const Pair *k = c->pair + p;
-        if (k->shape == MEETING) continue;
-
-        const int b = c->on[2 * k->first];
-        const Body *body = c->system->body + b;
-        double turning = 0.0, speed = 0.0;
-        for (int j = 0; j < D; j++) speed += fabs(now->v[TWIST * b + j]);
-        for (int j = D; j < TWIST; j++) turning += fabs(now->v[TWIST * b + j]);
-        const double carried = rests(body) ? 0.0 : speed + turning * o->nodes[o->nodes_of[p]].extent;
-        double most = 0.0;
-        for (int i = 0; i < k->count; i++) most = fmax(most, length_of(now->v + k->node[i] - body->at_q + body->at_v));
-        fastest = fmax(fastest, most + carried);
-    }
-
-    for (int k = 0; k < o->meetings; k++)
-        if (pair_facets(c, o->meeting + k, k, 4.0 * h * fastest, o->keeps, &c->now)) return FAILED;
-    o->known_scale = 0.0;
-    if (o->problem->all.lumped) o->ready = 0;
     return DONE;
 }
 
@@ -127,11 +98,15 @@ int begin_contact(System *s, ElasticContact *o, double h, const Block *now)
     int verdict;
     if (!c->known && look_at_points(o, now->q, *now->t, &c->now)) return FAILED;
     c->known = 1, o->turned = o->rounds = 0;
-    if (pair_surfaces(o, h, now)) return FAILED;
+    if (c->meetings) {
+        if (pair_surfaces(c, 4.0 * h * fastest_node(c, now->v), &c->now)) return FAILED;
+        o->known_scale = 0.0;
+        if (o->problem->all.lumped) o->ready = 0;
+    }
     for (int i = 0; i < s->nv; i++) o->room[i] = h * now->v[i];
     if ((verdict = driver_compose(s, 1, now->q, s->nq, o->room, s->nv, o->room + s->nv))) return verdict;
     if (look_at_points(o, o->room + s->nv, *now->t + h, &c->aside)) return FAILED;
-    for (int k = 0; k < o->laws; k++)
+    for (int k = 0; k < c->laws; k++)
         if ((verdict = take_near(o, k, &c->now, &c->aside))) return verdict;
     return gather_near(o);
 }
@@ -151,7 +126,7 @@ int met_others(ElasticContact *o, const Block *out, int *verdict)
     Contacts *c = o->contacts;
     int more = 0;
     if ((*verdict = look_at_points(o, out->q, *out->t, &c->end))) return 0;
-    for (int i = 0; i < o->candidates; i++)
+    for (int i = 0; i < c->points; i++)
         if (!o->listed[i] && c->end.gap[i] < -OVERLAP * o->length) o->listed[i] = more = 1;
     if (!more) return 0;
     *verdict = gather_near(o);
@@ -276,7 +251,7 @@ int contact_increment(System *s, ElasticContact *o, const Contacting *k, double 
 /* Whether the points near are those of the step that led to a state. */
 static int as_before(const ElasticContact *o, const Block *now)
 {
-    for (int i = 0; i < o->candidates; i++)
+    for (int i = 0; i < o->contacts->points; i++)
         if (now->own[o->at_near + i] != o->listed[i]) return 0;
     return 1;
 }

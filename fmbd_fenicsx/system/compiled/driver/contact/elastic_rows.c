@@ -16,13 +16,10 @@ typedef struct {
 static Side side_of(const ElasticContact *o, int i, int side)
 {
     const Contacts *c = o->contacts;
-    const int law = c->of[i], of = o->surface[2 * law + side];
-    if (of < 0) return (Side){.count = 0};
-    const Means *k = o->means + 2 * law + side;
-    const Pair *points = c->pair + of;
-    const int *first = k->first + i - c->pair[law].first;
-    return (Side){points, c->system->body + c->on[2 * points->first], o->nodes + o->nodes_of[of], first[1] - *first, k->node + *first,
-                  o->node + points->first, k->weight + *first};
+    const Mean k = mean_of(c, i, side);
+    if (!k.points) return (Side){.count = 0};
+    return (Side){k.points, c->system->body + c->on[2 * k.points->first], o->nodes + o->nodes_of[k.points - c->pair], k.count, k.node,
+                  o->node + k.points->first, k.weight};
 }
 
 /* Where node e of a side begins in arrays like v. */
@@ -31,37 +28,25 @@ static long node_at(const Side *k, int e) { return k->points->node[k->node[e]] -
 /* Its number in its trace. */
 static int number_of(const Side *k, int e) { return k->number[k->node[e]]; }
 
-/* The row of a mean of points with this sum of weights along e, on the twist of a frame, in its body axes. */
-static void mean_row(const double *pose, double weight, const double *mean, const double *e, double sign, double *row)
-{
-    double y[D];
-    for (int j = 0; j < D; j++) y[j] = mean[j] + (1.0 - weight) * pose[j];
-    frame_row(pose, y, e, sign, row);
-    for (int j = 0; j < D; j++) row[j] *= weight;
-}
-
 /* What one side of candidate i gives its rows, which hold zeros, along the directions e: on the frame of an obstacle; or on nodes, in the
    axes of their body, and on its frame. */
 static void rows_of_side(const ElasticContact *o, int i, int side, const double *q, const Touch *at, const double *e, double *row)
 {
     const Contacts *c = o->contacts;
     const double sign = side ? -1.0 : 1.0, *pose = q + POSE * c->on[2 * i + side];
-    const Side k = side_of(o, i, side);
-    double *local = row + D * side, *twist = row + 2 * D + TWIST * side, mean[D] = {0.0}, weight = 0.0, R[D * D];
+    const Mean k = mean_of(c, i, side);
+    double *local = row + D * side, *twist = row + 2 * D + TWIST * side, mean[D], R[D * D];
     if (!k.points) {
         for (int a = 0; a < c->components; a++) frame_row(pose, at->x + D * i, e + D * a, sign, twist + WIDE * a);
         return;
     }
 
-    for (int n = 0; n < k.count; n++) {
-        add(mean, k.weight[n], at->x + D * (k.points->first + k.node[n]), D);
-        weight += k.weight[n];
-    }
+    const double weight = mean_place(&k, at->x, mean);
     rotation(pose, R);
     for (int a = 0; a < c->components; a++) {
         transposed(R, e + D * a, local + WIDE * a);
         for (int j = 0; j < D; j++) local[WIDE * a + j] *= sign;
-        if (!rests(k.body)) mean_row(pose, weight, mean, e + D * a, sign, twist + WIDE * a);
+        if (!rests(c->system->body + c->on[2 * i + side])) mean_row(pose, weight, mean, e + D * a, sign, twist + WIDE * a);
     }
 }
 

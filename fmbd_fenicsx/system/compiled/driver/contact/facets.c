@@ -22,13 +22,13 @@ typedef struct {
 } Facets;
 
 /* Weighted sums over the points of a pair: entries of each row, one after the other. */
-typedef struct {
+typedef struct Means {
     int *first, *node;
     double *weight;
 } Means;
 
 /* Two surfaces, slave first: multipliers of a facet, what they are by functions psi of it, the facets that hold each; pairs of facets. */
-typedef struct {
+typedef struct Meeting {
     int pair, multipliers, points;     /* of candidates, which are its multipliers; of a facet; of a quadrature */
     double search, skin;               /* how far facets look for each other, nan: by their size; the margin of the list, m */
     Facets side[2];
@@ -269,14 +269,31 @@ static void take_means(Meeting *o, int candidates)
     }
 }
 
-/* The mean of the points of a side, and the sum of weights. */
-static double mean_place(const Contacts *c, const Means *m, const Pair *points, int j, const double *x, double *mean)
+/* The points that candidate i acts on with one of its sides, a mean of those of a pair; NULL for those of no surface. */
+typedef struct {
+    const Pair *points;
+    int count;
+    const int *node;
+    const double *weight;
+} Mean;
+
+static Mean mean_of(const Contacts *c, int i, int side)
+{
+    const int law = c->of[i], of = c->surface[2 * law + side];
+    if (of < 0) return (Mean){.count = 0};
+    const Means *k = c->means + 2 * law + side;
+    const int *first = k->first + i - c->pair[law].first;
+    return (Mean){c->pair + of, first[1] - *first, k->node + *first, k->weight + *first};
+}
+
+/* Where it is, and the sum of its weights. */
+static double mean_place(const Mean *k, const double *x, double *mean)
 {
     double sum = 0.0;
     memset(mean, 0, D * sizeof(double));
-    for (int e = m->first[j]; e < m->first[j + 1]; e++) {
-        add(mean, m->weight[e], x + D * (points->first + m->node[e]), D);
-        sum += m->weight[e];
+    for (int e = 0; e < k->count; e++) {
+        add(mean, k->weight[e], x + D * (k->points->first + k->node[e]), D);
+        sum += k->weight[e];
     }
     return sum;
 }
@@ -284,19 +301,29 @@ static double mean_place(const Contacts *c, const Means *m, const Pair *points, 
 /* Gaps of candidates between surfaces whose points stand like this. */
 static void touch_facets(const Contacts *c, const Meeting *o, Touch *out)
 {
-    const Pair *k = c->pair + o->pair, *a = c->pair + o->side[0].pair, *b = c->pair + o->side[1].pair;
+    const Pair *k = c->pair + o->pair;
     for (int j = 0; j < k->count; j++) {
         const int i = k->first + j;
+        const Mean own = mean_of(c, i, 0), others = mean_of(c, i, 1);
         double *between = out->relative + D * i, other[D];
 
-        mean_place(c, o->means, a, j, out->x, between);
-        mean_place(c, o->means + 1, b, j, out->x, other);
+        mean_place(&own, out->x, between);
+        mean_place(&others, out->x, other);
         add(between, -1.0, other, D);
         memcpy(out->normal + D * i, o->normal + D * j, D * sizeof(double));
-        memcpy(out->x + D * i, out->x + D * (a->first + o->at[j]), D * sizeof(double));
-        const int on = o->means[1].first[j + 1] > o->means[1].first[j];
-        out->gap[i] = on ? dot(out->normal + D * i, between, D) - o->offset[j] : INFINITY;
+        memcpy(out->x + D * i, out->x + D * (own.points->first + o->at[j]), D * sizeof(double));
+        out->gap[i] = others.count ? dot(out->normal + D * i, between, D) - o->offset[j] : INFINITY;
     }
+}
+
+/* The candidates of a pair at a configuration. 1 where Python failed. */
+static int touch_pair(const Contacts *c, Pair *o, const double *q, double t, Touch *out)
+{
+    const Meeting *k = o->meeting;
+    if (!k) return touch_points(c, o, q, t, out);
+    for (int side = 0; side < 2; side++) touch_points(c, c->pair + k->side[side].pair, q, t, out);
+    touch_facets(c, k, out);
+    return 0;
 }
 
 /* The distance of the boxes around the points of two pairs. */
@@ -397,4 +424,12 @@ static int pair_facets(Contacts *c, Meeting *o, int number, double reach, int ke
         o->offset[j] = *gap, *gap = 0.0;
     }
     return DONE;
+}
+
+/* Pair surfaces anew where their points stand like this; ``reach``: what two nodes may come nearer by, m. 1 where Python failed. */
+static int pair_surfaces(Contacts *c, double reach, Touch *at)
+{
+    for (int k = 0; k < c->meetings; k++)
+        if (pair_facets(c, c->meeting + k, k, reach, c->keeps, at)) return 1;
+    return 0;
 }

@@ -233,6 +233,7 @@ static int velocities(System *s, Contacts *c, double *p, Block now, Block out, i
     }
     p[ITERATIONS] += done;
     p[LEFT] += left;
+    c->tally.iterated++;
     c->done = done;
     return converged ? DONE : NEWTON;
 }

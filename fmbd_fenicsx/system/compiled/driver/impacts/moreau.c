@@ -7,6 +7,7 @@
 #include "algebra/rotations.c"
 #include "parts.h"
 #include "contact/contact.c"
+#include "contact/facets.c"
 #include "contact/candidates.c"
 #include "contact/contact_rows.c"
 #include "contact/graph.c"
@@ -224,6 +225,7 @@ static int part(System *s, Contacts *c, double *p, Block now, Block out, double 
     c->here = now;
     if (!c->known && touch(c, now.q, *now.t, &c->now)) return LOOK;
     c->known = 1;
+    if (c->meetings && pair_surfaces(c, 4.0 * left * fastest_node(c, now.v), &c->now)) return LOOK;
     if (p[BOUNDED] != 0.0 && passes(c, now, left)) return LOOK;
     if (many) return classical(s, c, p, now, out, left, h);
     int m = taking_part(c, p, now, h, &hit);
@@ -252,7 +254,7 @@ static int part(System *s, Contacts *c, double *p, Block now, Block out, double 
 static void keep_books(Contacts *c, int back)
 {
     double *places[] = {c->works, &c->energy, &c->springs}, *held = c->saved, *impulse = held + c->points * c->components;
-    double *at = impulse + c->pairs * D;
+    double *at = impulse + c->laws * D;
     size_t sizes[] = {5, 1, 1};
     for (int k = 0; k < 3; at += sizes[k++]) {
         if (back) memcpy(places[k], at, sizes[k] * sizeof(double));
@@ -324,20 +326,22 @@ static void record_contacts(const Contacts *c, double *to)
 {
     const int m = c->points;
     const double *from[] = {c->now.gap, c->now.x, c->now.normal, c->normal, c->force, c->impulse, c->works, &c->time};
-    const int sizes[] = {m, m * D, m * D, m, m * D, c->pairs * D, 5, 1};
+    const int sizes[] = {m, m * D, m * D, m, m * D, c->laws * D, 5, 1};
     for (int k = 0; k < 8; to += sizes[k++]) memcpy(to, from[k], sizes[k] * sizeof(double));
 }
 
-/* Gaps of all points at so many states, one block behind the other, each in front of ``wide`` numbers; 1 where Python failed. */
-EXPORT int moreau_gaps(Contacts *c, long count, double *block, long wide, double *gap)
+/* Gaps of all points at so many states, one block behind the other, each in front of ``wide`` numbers; surfaces are paired there, where
+   nodes are as near as ``reach``. 1 where Python failed. */
+EXPORT int moreau_gaps(Contacts *c, long count, double *block, long wide, double *gap, double reach)
 {
     const System *s = c->system;
     const long size = 1 + s->nq + 3 * (long)s->nv + s->rows;
     for (long i = 0; i < count; i++, block += size, gap += wide) {
         const Block now = block_at(s, block);
         if (placed(c, now.q)) return 1;
-        for (int k = 0; k < c->pairs; k++)
+        for (int k = 0; k < c->laws; k++)
             if (touch_pair(c, c->pair + k, now.q, *now.t, &c->aside)) return 1;
+        if (pair_surfaces(c, reach, &c->aside)) return 1;
         memcpy(gap, c->aside.gap, c->points * sizeof(double));
     }
     return 0;
@@ -368,7 +372,7 @@ static int accepted(System *s, Contacts *c, Block now, Tape *tape)
     if ((recorded || waits) && touch_others(c, now.q, *now.t)) return LOOK;
 
     if (recorded) {
-        const long size = c->points * (2 + 3 * D) + c->pairs * D + 6;
+        const long size = c->points * (2 + 3 * D) + c->laws * D + 6;
         record_contacts(c, tape->contact + size * place_on(tape));
         if ((verdict = record(s, tape, &now, 0, 1))) return verdict;
     } else if (waits) {
