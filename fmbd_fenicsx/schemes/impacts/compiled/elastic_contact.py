@@ -27,7 +27,6 @@ from ..contact_ledger import SHORT
 from ..contact_newton import small_problem
 from ..elastic_step import MARGIN, RELIED, Confirmed
 from .pairs import COMPLEMENTARITY, NEARBY, PairTables
-from .pairs import MEETING as FACING
 from .problem import CompiledProblem
 from .structures import BOOKS, ELASTIC_CONTACT, NODES, Contacts
 from .tape import ContactTape
@@ -234,7 +233,7 @@ class Encounters(PairTables):
     @property
     def _on_core(self) -> bool:
         """Whether bodies without a field carry obstacles."""
-        return any(one.carrier >= 0 for one in self.pairs if one.shape != FACING)
+        return any(one.carrier >= 0 for one in self.pairs if not one.meeting)
 
     def _make_room(self, rows: int, columns: int) -> None:
         """Room for so many rows of those near, and for columns of the fields."""
