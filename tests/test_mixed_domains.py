@@ -54,7 +54,7 @@ def test_coupling_equals_mixed_domain_assembly(dim: int, degree: int, multiplier
     theirs, places, V = coupling_by_dolfinx(mesh, "top", degree, multiplier)
     trace = trace_of(V, mesh, "top")
     space = Discontinuous(0) if multiplier[1] == 0 else Continuous(1, Ends.KEPT)
-    ours = space.on(trace).local_coupling().toarray()  # all rows, the columns of this rank
+    ours = trace.columns(space.on(trace).coupling()).toarray()  # all rows, the columns of this rank
     comm = mesh.dolfinx.comm
     low, high = V.dofmap.index_map.local_range
     wide = np.zeros((len(ours), V.dofmap.index_map.size_global))

@@ -29,7 +29,7 @@ def pair(dim: int, slave: int, master: int, degree: int = 1, shift: float = 0.0,
 
 def covered(m: Mortar) -> float:
     """The part of the slave's area that both surfaces share: multipliers sum up to one, and so do functions of nodes."""
-    return m.slave.sum() / m.slave_trace.sizes.sum()
+    return m.slave.sum() / m.multipliers.trace.sizes.sum()
 
 
 @pytest.mark.smoke

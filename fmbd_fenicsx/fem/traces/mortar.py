@@ -38,11 +38,6 @@ class Mortar:
     master: sp.csr_matrix
     gap: float
 
-    @property
-    def slave_trace(self) -> Trace:
-        """The surface that carries the multipliers."""
-        return self.multipliers.trace
-
 
 def mortar(
     slave: Trace, master: Trace, space: MultiplierSpace, *, tolerance: float = 0.1, facing: bool = True

@@ -56,10 +56,6 @@ class Multipliers:
         blocks = t.sizes[:, None, None] * ((shape_functions(t.dim - 1, self.degree, q).T * w) @ t.shape(q))
         return self.broken(blocks, t.nodes, t.n)
 
-    def local_coupling(self) -> sp.csr_matrix:
-        """The columns of :meth:`coupling` for the nodes that this rank owns, (n, n_owned)."""
-        return self.trace.columns(self.coupling())
-
     def integrals(self, function: Callable[[Array], Array]) -> Array:
         """int mu_j f of a function of points (n, d) -> (n, c) or (n,); (n, c)."""
         blocks = self.trace.integrals(function, self.degree, self.degree + 6)
