@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from itertools import pairwise
 from typing import Any
 
@@ -68,8 +68,8 @@ class Newton:
 
     tolerance: float = 1e-6
     max_iterations: int = 12
-    slow: float = 0.9  # a rate above this over two increments counts as divergence
-    patience: float = 4.0  # a new tangent is taken when more than this many further iterations are to be expected
+    slow: float = 0.9
+    patience: float = 4.0
     tangent: ExactTangent | None = None
     # tangents that the last step took: where there were several, the next one begins with one
     renewals: int = field(default=0, init=False)
@@ -155,13 +155,7 @@ class Newton:
     @property
     def settings(self) -> dict[str, Any]:
         """What the user has chosen."""
-        return {
-            "tolerance": self.tolerance,
-            "max_iterations": self.max_iterations,
-            "slow": self.slow,
-            "patience": self.patience,
-            "tangent": self.tangent,
-        }
+        return {x.name: getattr(self, x.name) for x in fields(self) if x.init}
 
     def note(self, left: float, steps: int = 1) -> None:
         """Solved steps and the sum of their errors, over the tolerance."""

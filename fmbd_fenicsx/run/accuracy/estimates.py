@@ -227,16 +227,12 @@ def reduction_error(problem: Problem, compared: Compared) -> dict[str, Deviation
 
     system, given = made
     finer = Built(system, given, problem.markers, Gathered(), 0.0)
-    coarse, schedule = compared.recorder, compared.schedule
     try:
-        fine = companion(
-            replace(problem, scheme=compared.scheme), schedule, as_recorded(coarse, schedule), of=finer
-        ).recorder
+        fine = run_like(problem, compared, problem.scene, finer).recorder
     except UNFIT as error:
         log.warning("no error of reduction: the run with more modes did not end: %s", error)
         return {}
-
-    return mode_deviations(coarse, fine)
+    return mode_deviations(compared.recorder, fine)
 
 
 def mode_deviations(coarse: Recorder, fine: Recorder) -> dict[str, Deviation]:
