@@ -28,6 +28,16 @@ from .newton import Newton
 from .stepping import Observers
 
 
+def own_numbers(norm: ErrorNorm, control: StepControl) -> dict[str, float]:
+    """What compiled code is told of a norm and a controller, by the names of own_steps.c."""
+    harsh, mild = REFUSED
+    return {
+        "index": norm.index, "rtol": norm.rtol, "atol": norm.atol or 0.0, "length": norm.system.length, "turn": TURN,
+        "safety": control.safety, "harsh": harsh, "mild": mild, "patience": PATIENCE,
+        "given": control.given, "order": control.order, "shrink": control.shrink, "grow": control.grow, "least": LEAST_ERROR,
+    }  # fmt: skip
+
+
 class OwnMarch(MarchingStepper):
     """A scheme with constant steps, or (``adaptive``) with steps of the sizes that its error control chooses."""
 
@@ -136,13 +146,8 @@ class OwnMarch(MarchingStepper):
         **numbers: float,
     ) -> OwnRoom:
         """Its error control, with what the scheme has of its own."""
-        norm, control, (harsh, mild) = self.norm, self.control, REFUSED
-        common = {
-            "index": norm.index, "rtol": norm.rtol, "atol": norm.atol or 0.0, "length": self.system.length, "turn": TURN,
-            "safety": control.safety, "harsh": harsh, "mild": mild, "patience": PATIENCE,
-            "given": control.given, "order": control.order, "shrink": control.shrink, "grow": control.grow, "least": LEAST_ERROR,
-        }  # fmt: skip
-        return OwnRoom(self._twin, norm.deforming, {**common, **numbers}, error=error, between=between, orders=orders)
+        numbers = {**own_numbers(self.norm, self.control), **numbers}
+        return OwnRoom(self._twin, self.norm.deforming, numbers, error=error, between=between, orders=orders)
 
     def _lend_own(self, own: OwnRoom) -> None:
         """What error control has seen so far, and where the steps of a call end."""

@@ -18,7 +18,7 @@ from .tables.structures import Store, array_of, structure
 OwnSteps = structure_of("marches/own_steps.c", "OwnSteps")
 
 
-def deflections_of(system: System, deforming: list[tuple[int, Any]], store: Store) -> Any:
+def _deflections(system: System, deforming: list[tuple[int, Any]], store: Store) -> Any:
     """The parts of these numbers, with the places of their coordinates."""
     one = structure("Deflection", system.motions.dim)
     return array_of(one, len(deforming))(
@@ -49,11 +49,12 @@ class OwnRoom:
         between: Array | None = None,
         orders: ctypes.Structure | None = None,
     ) -> None:
-        self._store, self.orders, self._twin = Store(), orders, twin
+        self._store, self.orders = Store(), orders
         self._marks: Array = np.zeros(0)
         system, own = twin.system, twin.original
-        self._fields = own.n_v - own.n_core  # coordinates
-        self._deflections = deflections_of(system, deforming, self._store)
+        # where coordinates of the core stand
+        self._core = np.flatnonzero(twin.velocities(np.repeat((1.0, 0.0), (own.n_core, own.n_v - own.n_core))))
+        self._deflections = _deflections(system, deforming, self._store)
         self._arrays = {name: self._store.zeros({name: system.n_v})[name] for name in ("sizes", "speeds", "scale")}
         self.c = OwnSteps(
             deforming=len(deforming), deflection=self._store.structure(self._deflections),
@@ -67,7 +68,7 @@ class OwnRoom:
     def lend(self, sizes: Array, speeds: Array, deflections: Array) -> None:
         """The largest sizes so far."""
         for name, values in (("sizes", sizes), ("speeds", speeds)):
-            self._arrays[name][0][:] = self._twin.velocities(np.append(values, np.zeros(self._fields)))
+            self._arrays[name][0][self._core] = values
         for one, size in zip(self._deflections, deflections, strict=True):
             one.size = size
 
@@ -78,8 +79,7 @@ class OwnRoom:
 
     def told(self) -> tuple[Array, Array, Array]:
         """The largest sizes behind a march."""
-        core = self._twin.original.n_core
-        sizes, speeds = (self._twin.forces(self._arrays[name][0])[:core].copy() for name in ("sizes", "speeds"))
+        sizes, speeds = (self._arrays[name][0][self._core] for name in ("sizes", "speeds"))
         return sizes, speeds, np.array([one.size for one in self._deflections])
 
 

@@ -12,12 +12,13 @@ from fractions import Fraction
 import numpy as np
 
 from ....rotations import Array
-from ....system.compiled.own_steps import OwnSteps, deflections_of
+from ....system.compiled.own_steps import OwnRoom
 from ....system.compiled.tables.resting import twin_of
 from ....system.compiled.tables.structures import Store, structure
 from ....system.element_memory import next_sample
-from ...control import ESTIMATE, FADING, LEAST_ERROR, PATIENCE, REFUSED, TURN, StepControl
+from ...control import ESTIMATE, FADING, StepControl
 from ...error_norm import NormOfWays
+from ...own_marching import own_numbers
 from .quiet_times import CALM, QuietTimes
 from .stretch import Stretch, parts
 
@@ -31,33 +32,27 @@ class CompiledControl:
         self.twin, system = twin_of(norm.system), norm.system
         s, dim = self.twin.system, system.motions.dim
 
-        self.deflections = deflections_of(s, norm.deforming, self.store)
-        harsh, mild = REFUSED
-        self.sizes = OwnSteps(
-            order=control.order, safety=control.safety, shrink=control.shrink, grow=control.grow, least=LEAST_ERROR,
-            harsh=harsh, mild=mild, patience=PATIENCE, given=control.given,
-        )  # fmt: skip
+        self.own = OwnRoom(self.twin, norm.deforming, own_numbers(norm, control))
         # elastic fields have factors of few sizes, and of rows of a user's own roundoff is unknown
         self.resizes = not system.fields and bool(system.in_lengths.all())
 
         # coordinates of bodies that are no deformations
-        self._own = np.logical_not(norm.deformations)
-        self._own[system.n_core :] = False
+        own = np.logical_not(norm.deformations)
+        own[system.n_core :] = False
         for block in norm.sizes.blocks:
-            self._own[block] = False
-        places = np.flatnonzero(self.twin.velocities(self._own.astype(float))).astype(np.int32)
+            own[block] = False
+        self._coordinates = np.flatnonzero(own)
+        places = np.flatnonzero(self.twin.velocities(own)).astype(np.int32)
 
-        # tolerances and arrays that C works in
-        like_v = "e a missed_speed v A sizes speeds reaching racing".split()
+        # arrays that C works in
+        like_v = "e a missed_speed v A reaching racing".split()
         sizes = dict.fromkeys(like_v, s.n_v) | dict.fromkeys(("y", "open", "noise"), s.n_lam)
         work = self.store.zeros({**sizes, "fastest": 2, "faster": 2})
-        self._fastest, self._sizes, self._speeds = (work[name][0] for name in ("fastest", "sizes", "speeds"))
+        self._fastest = work["fastest"][0]
         self.c = structure("Control", dim)(
-            rtol=norm.rtol, atol=norm.atol or 0.0, length=s.length, least=norm.least, turn=TURN, fading=FADING,
+            own=self.own.address, least=norm.least, fading=FADING,
             frames=system.n_frames, core=system.n_core, laws=laws, drags=drags, bends=bends,
             timed=not control.given and bool(system.prescribes or system.pushes_in_time), calm=CALM,
-            own=ctypes.addressof(self.sizes),
-            deforming=len(norm.deforming), deflection=self.store.structure(self.deflections),
             coordinates=len(places), coordinate=self.store.array(places, np.int32)[1],
             **{name: address for name, (_, address) in work.items()},
         )  # fmt: skip
@@ -77,13 +72,8 @@ class CompiledControl:
             assert norm.origin is not None
             self._origin = norm.origin
             c.origin = self.store.address(self.twin.configurations(norm.origin[None])[0])
-        for one, largest in zip(self.deflections, norm.deflections, strict=True):
-            one.size = largest
+        self.own.lend(norm.q_size, norm.v_size, norm.deflections)
         self._fastest[:] = [norm.v_size[block].max(initial=0.0) for block in norm.sizes.blocks]
-        if c.coordinates:
-            still = np.zeros(norm.system.n_v - norm.system.n_core)
-            for kept, values in ((self._sizes, norm.q_size), (self._speeds, norm.v_size)):
-                kept[:] = self.twin.velocities(np.append(values, still))
         c.way, c.largest = norm.way, 0.0
 
         # where in which stretch
@@ -96,18 +86,16 @@ class CompiledControl:
         # the controller
         c.size_before, c.missed = control.h_old, control.error_old
         c.refused, c.refusals = len(control.rejections), 0
-        self.sizes.tiny = control.tiny
+        self.own.c.tiny = control.tiny
 
     def take(self, stretch: Stretch, t: float) -> None:
         """Take back what :meth:`lend` gave, at a time t, s."""
         norm, c, control = self.norm, self.c, self.control
-        norm.deflections = np.array([one.size for one in self.deflections])
+        sizes, speeds, norm.deflections = self.own.told()
+        norm.q_size[self._coordinates] = sizes[self._coordinates]
+        norm.v_size[self._coordinates] = speeds[self._coordinates]
         for block, speed in zip(norm.sizes.blocks, self._fastest, strict=True):
             norm.v_size[block] = speed
-        if c.coordinates:
-            own = self._own[: norm.system.n_core]
-            for kept, largest in ((self._sizes, norm.q_size), (self._speeds, norm.v_size)):
-                largest[own] = self.twin.forces(kept)[: len(own)][own]
         norm.way = c.way
 
         # where in which stretch, and the controller

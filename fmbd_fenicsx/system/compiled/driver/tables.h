@@ -482,23 +482,22 @@ typedef struct {
     double size, reached;              /* m, the largest displacement so far, and with the newest state */
 } Deflection;
 
-/* Error control of a march: tolerances, sizes so far, and what the next step may be. See control.c. */
+/* Error control of a march of generalized-alpha: ways so far, and what the next step may be. See control.c. */
 typedef struct {
-    double rtol, atol, length, least, way, reached;
+    struct OwnSteps *own;              /* tolerances, sizes so far, what proposes sizes: see own_steps.c */
+    double least, way, reached;
     double unknown;                    /* what increments of places may be roundoff of, m */
     const double *origin;              /* the configuration that ways are measured from */
     long frames, core;                 /* that move, and entries like v of these and of what is no field */
     long laws;                         /* whether forces follow laws, whose stiffness may not last */
     long drags;                        /* whether damping may be that of forces alone, which gives no place back */
-    long deforming, coordinates;       /* bodies that deform; other coordinates of bodies, each of a size of its own */
-    Deflection *deflection;
+    long coordinates;                  /* of bodies that are no deformations, each of a size of its own */
     int *coordinate;                   /* where these stand in v */
-    struct OwnSteps *own;              /* proposes sizes, see own_steps.c */
     long chooses, timed, bends;        /* whether C may change sizes; whether loads want looks; whether bodies bend */
     long place, count, more;           /* of the stretch: in steps of this size, and of how many; how many as long may follow */
     double stretch, end, last;         /* its length and its end; until when steps may begin, s */
     double lost, until;                /* size of steps in which masses are lost beside stiffness, and until when, s */
-    double calm, turn;                 /* error below which nothing happens; rad */
+    double calm;                       /* error below which nothing happens */
     double quiet, quiet_size, looked;  /* up to when loads have been looked at, in steps of which size; the largest such size, s */
     double proposed, size;             /* for the next step, and of the newest, s */
     double size_before, missed;        /* of the step that the controller remembers, 0: there is none, and its error */
@@ -508,8 +507,7 @@ typedef struct {
     double *fastest, *faster;          /* speed and spin of frames so far, m/s and rad/s, and with the newest state, 2 each */
     double peak, fading;               /* the largest of late, which fades by this factor from step to step */
     double *e, *y, *a, *missed_speed;  /* work: like v, the rows, like v twice */
-    double *sizes, *speeds;            /* of coordinates, the largest so far, like v */
-    double *reaching, *racing;         /* work: the same with the newest state */
+    double *reaching, *racing;         /* work: sizes and speeds of coordinates with the newest state, like v */
     double *open, *noise, *v, *A;      /* work: the rows twice; what the newest state had before a change of size, like v */
 } Control;
 

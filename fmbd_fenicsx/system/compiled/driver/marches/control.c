@@ -24,6 +24,7 @@ static double turned(const double *q0, const double *q) { return fabs(q[2] - q0[
 static void reach(const System *s, Control *c, double h, const Block *now)
 {
     const double *q = now->q;
+    const OwnSteps *o = c->own;
     memcpy(c->faster, c->fastest, 2 * sizeof(double));
     for (int i = 0; c->laws && i < TWIST * c->frames; i++) {
         double *known = c->faster + (i % TWIST >= D);
@@ -33,19 +34,19 @@ static void reach(const System *s, Control *c, double h, const Block *now)
     c->reached = c->way;
     for (int b = 0; c->way < 1.0 && b < c->frames; b++) { /* longer ways count as one */
         const double *from = c->origin + POSE * b, *to = q + POSE * b;
-        for (int i = 0; i < D; i++) c->reached = fmax(c->reached, fabs(to[i] - from[i]) / c->length);
+        for (int i = 0; i < D; i++) c->reached = fmax(c->reached, fabs(to[i] - from[i]) / o->length);
         c->reached = fmax(c->reached, turned(from, to));
     }
 
-    if (c->coordinates) position_sizes(s, c->length, q, c->reaching);
+    if (c->coordinates) position_sizes(s, o->length, q, c->reaching);
     for (long k = 0; k < c->coordinates; k++) {
         const int i = c->coordinate[k];
-        c->reaching[i] = fmax(c->sizes[i], c->reaching[i]);
-        c->racing[i] = fmax(c->speeds[i], fmax(fabs(now->v[i]), h * fabs(now->a[i])));
+        c->reaching[i] = fmax(o->sizes[i], c->reaching[i]);
+        c->racing[i] = fmax(o->speeds[i], fmax(fabs(now->v[i]), h * fabs(now->a[i])));
     }
 
-    for (Deflection *x = c->deflection; x < c->deflection + c->deforming; x++) {
-        x->reached = fmax(x->size, 1e-2 * c->length);
+    for (Deflection *x = o->deflection; x < o->deflection + o->deforming; x++) {
+        x->reached = fmax(x->size, 1e-2 * o->length);
         for (int i = 0; i < x->n; i++) x->reached = fmax(x->reached, fabs((x->rms ? x->rms[i] : 1.0) * q[x->at_q + i]));
     }
 }
@@ -60,15 +61,16 @@ static double squares(const double *e, int n, double tolerance)
 
 /* What an entry of an error of places, or of velocities after a step of h (0: of places), may be, where places are known to so much: see
    NormOfWays.update. */
-static double allowed_error(const Control *c, double size, double unknown, double fastest, double h)
+static double allowed_error(const OwnSteps *o, double size, double unknown, double fastest, double h)
 {
-    const double places = c->rtol * size + c->atol;
-    return h > 0.0 ? c->rtol * fastest + (1e-4 * places + unknown) / h : places;
+    const double places = o->rtol * size + o->atol;
+    return h > 0.0 ? o->rtol * fastest + (1e-4 * places + unknown) / h : places;
 }
 
 /* Root mean square of the core, or that of the worst field; of frames without what they do beside the mass of their body. ``h``: as above. */
 static double error_norm(const System *s, const Control *c, const double *q, const double *e, double h)
 {
+    const OwnSteps *o = c->own;
     const double share = fmax(fmin(c->reached, 1.0), c->least), per = h > 0.0 ? h : 1.0;
     double core = 0.0, worst = 0.0;
     for (int b = 0; b < c->frames; b++) {
@@ -79,19 +81,19 @@ static double error_norm(const System *s, const Control *c, const double *q, con
         }
 
         for (int i = 0; i < TWIST; i++) own[i] = e[TWIST * b + i] - bent[i];
-        core += squares(own, D, allowed_error(c, share * c->length, c->unknown, c->faster[0], h));
-        core += squares(own + D, ROT, allowed_error(c, share, c->unknown / c->length, c->faster[1], h));
+        core += squares(own, D, allowed_error(o, share * o->length, c->unknown, c->faster[0], h));
+        core += squares(own + D, ROT, allowed_error(o, share, c->unknown / o->length, c->faster[1], h));
     }
 
     for (long k = 0; k < c->coordinates; k++) {
         const int i = c->coordinate[k];
-        core += squares(e + i, 1, allowed_error(c, c->reaching[i], 0.0, c->racing[i], h));
+        core += squares(e + i, 1, allowed_error(o, c->reaching[i], 0.0, c->racing[i], h));
     }
 
-    for (const Deflection *x = c->deflection; x < c->deflection + c->deforming; x++) {
+    for (const Deflection *x = o->deflection; x < o->deflection + o->deforming; x++) {
         for (int i = 0; x->rms && i < x->n; i++)
-            core += squares(e + x->at_v + i, 1, (c->rtol * x->reached / x->rms[i] + c->atol) / per);
-        double mean = x->rms ? 0.0 : squares(e + x->at_v, x->n, (c->rtol * x->reached + c->atol) / per) / x->n;
+            core += squares(e + x->at_v + i, 1, (o->rtol * x->reached / x->rms[i] + o->atol) / per);
+        double mean = x->rms ? 0.0 : squares(e + x->at_v, x->n, (o->rtol * x->reached + o->atol) / per) / x->n;
         worst = worse(worst, mean);
     }
     return sqrt(c->core ? worse(worst, core / c->core) : worst);
@@ -162,10 +164,10 @@ static int judged(System *s, const double *p, Control *c, const Block *past, con
     memcpy(c->fastest, c->faster, 2 * sizeof(double));
     for (long k = 0; k < c->coordinates; k++) {
         const int i = c->coordinate[k];
-        c->sizes[i] = c->reaching[i];
-        c->speeds[i] = c->racing[i];
+        c->own->sizes[i] = c->reaching[i];
+        c->own->speeds[i] = c->racing[i];
     }
-    for (Deflection *x = c->deflection; x < c->deflection + c->deforming; x++) x->size = x->reached;
+    for (int k = 0; k < c->own->deforming; k++) c->own->deflection[k].size = c->own->deflection[k].reached;
     return DONE;
 }
 
@@ -223,7 +225,8 @@ static double known_gap(const System *s, int row, double gap, double near) { ret
 /* What velocities miss their constraints by, and A - a, as steps of h have it: see size_change.py. */
 static int change_openings(System *s, const double *p, Control *c, const Block *now, double h, double *jump)
 {
-    const double before = c->size, r = h / before, near = LEFT_OF_PLACES * (c->length + far_from_origin(s, now->q, c->length));
+    const double before = c->size, r = h / before, length = c->own->length;
+    const double near = LEFT_OF_PLACES * (length + far_from_origin(s, now->q, length));
     double asked = NAN, noisy = 0.0;
     int verdict;
     if ((verdict = sample(s, *now->t, &asked)) || (verdict = evaluate(s, now->q, now->v, now->a, now->lam, *now->t))) return verdict;
@@ -274,7 +277,7 @@ static int change_size(System *s, double *p, Control *c, const Block *now, doubl
 /* Prepare the next step, as long as is proposed; SIZE where Python has to. */
 static int next_size(System *s, double *p, Control *c, const Block *now)
 {
-    const double wanted = fmin(proposal(c->own, c->proposed), farthest_turn((int)c->frames, c->turn, 1.0, now));
+    const double wanted = fmin(proposal(c->own, c->proposed), farthest_turn((int)c->frames, c->own->turn, 1.0, now));
     if (*now->t > c->last) return SIZE;
     if (c->place == c->count) { /* the next stretch is as long */
         if (c->more <= 0) return SIZE;
@@ -319,7 +322,7 @@ static int smaller_size(System *s, double *p, Control *c, const Block *now, int 
     c->tried = h;
     take_back(s, p, c, now);
     if (*verdict != SIZE || !c->chooses || s->remembers || !refused_size(c->own, now, h, c->own->order, &found)) return 0;
-    if (c->trial * c->rtol < 1.0) c->way = c->reached; /* it foretells the motion */
+    if (c->trial * c->own->rtol < 1.0) c->way = c->reached; /* it foretells the motion */
     c->proposed = found.proposed;
     c->refused++;
     c->refusals++;
