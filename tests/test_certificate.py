@@ -14,9 +14,10 @@ from test_field_stages import pendulum
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError, MeshError
+from fmbd_fenicsx.materials import neo_hookean
 from fmbd_fenicsx.run.accuracy.certificate import KINDS
 from fmbd_fenicsx.run.accuracy.orders import order_seen, scattered_order
-from fmbd_fenicsx.system.scene.refinement import finer_space, more_modes, refined, with_bodies
+from fmbd_fenicsx.system.scene.refinement import finer_space, more_modes, refined, refined_by_finer_space, with_bodies
 
 ALL = fmbd.Output(estimate_error=True, estimate_space=True, estimate_reduction=True)
 ESTIMATED = fmbd.Output(estimate_error=True)
@@ -234,6 +235,20 @@ def test_a_scene_with_finer_bodies_shares_nothing_with_the_old_one_but_what_is_e
         more_modes(scene, scene.build()[0])
     with pytest.raises(MeshError, match="it was not read by read_gmsh or read_mesh"):
         replace(scene.bodies["rod"].mesh, recipe=None).refined()
+
+
+def test_spaces_of_nonlinear_energies_are_told_by_smaller_elements_which_serve_again(
+    rod_mesh: Callable[..., Any],
+) -> None:
+    """Cubic ones take three times as long in space, and no attempt is made with them. Linear ones become quadratic."""
+    mesh = rod_mesh(dim=3, h=0.3, height=0.2)
+    for degree in (1, 2):
+        scene = fmbd.Scene("soft")
+        scene.add(fmbd.AbsoluteBody("rod", mesh, degree=degree, density=1e3, energy=neo_hookean(1e5, 0.3)))
+        finer, without = finer_space(scene)
+        body, same = finer.bodies["rod"], refined(scene).bodies["rod"]
+        assert refined_by_finer_space(scene) and not without and body.degree == same.degree == 2
+        assert body.mesh.recipe.parameters == same.mesh.recipe.parameters
 
 
 def test_orders_of_nothing_that_falls_are_found() -> None:

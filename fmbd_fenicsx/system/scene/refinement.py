@@ -89,16 +89,35 @@ def finer_space(scene: Scene, *, higher: bool = True) -> tuple[Scene, list[str]]
     """The scene with every elastic body in a space that its error is measured against, and the names of bodies on a mesh that
     have none.
 
-    With ``higher`` the degree is raised by one where a body has a choice; else, at the highest degree, and in rods, beams and
-    lines, the elements are halved.
+    With ``higher`` the degree is raised by one where a body has a choice, and that is cheap (:func:`_degree_is_dear`); else, at
+    the highest degree, and in rods, beams and lines, the elements are halved.
     """
     found, without = {}, []
     for name in meshed_bodies(scene):
-        try:
-            found[name] = scene.bodies[name].with_finer_space(higher=higher)
-        except (InputError, MeshError):
+        body = scene.bodies[name]
+        finer = _finer(body, (False, True) if higher and _degree_is_dear(body) else (higher,))
+        if finer is None:
             without.append(name)
+        else:
+            found[name] = finer
     return with_bodies(scene, found), without
+
+
+def _finer(body: Body, ways: tuple[bool, ...]) -> Body | None:
+    """The body with elements of higher degree, or smaller ones, the first of these ways that it has; None where it has none."""
+    for higher in ways:
+        try:
+            return body.with_finer_space(higher=higher)
+        except (InputError, MeshError):
+            continue
+    return None
+
+
+def _degree_is_dear(body: Body) -> bool:
+    """Whether elements of half the size cost less than those of a higher degree: the tangents of a nonlinear energy are taken at
+    so many points of cubic ones that a run in space takes three times as long.
+    """
+    return body.displacement_degree != 1 and getattr(body, "energy", None) is not None
 
 
 def refined(scene: Scene) -> Scene:
@@ -112,12 +131,9 @@ def refined(scene: Scene) -> Scene:
     for name in meshed_bodies(scene):
         body = scene.bodies[name]
         # linear displacements become quadratic; else finer meshes, else a higher degree
-        for higher in (body.displacement_degree == 1, True):
-            try:
-                found[name] = body.with_finer_space(higher=higher)
-            except (InputError, MeshError):
-                continue
-            break
+        finer = _finer(body, (body.displacement_degree == 1, True))
+        if finer is not None:
+            found[name] = finer
 
     if not found:
         raise InputError(
@@ -127,9 +143,11 @@ def refined(scene: Scene) -> Scene:
 
 
 def refined_by_finer_space(scene: Scene) -> bool:
-    """Whether the finer spaces of :func:`finer_space` are those of :func:`refined`: slender bodies, and linear displacements."""
+    """Whether the finer spaces of :func:`finer_space` are those of :func:`refined`: of slender bodies, linear displacements, and
+    nonlinear energies.
+    """
     bodies = [scene.bodies[name] for name in meshed_bodies(scene)]
-    return all(body.displacement_degree == 1 or not body.meshed for body in bodies)
+    return all(body.displacement_degree == 1 or not body.meshed or _degree_is_dear(body) for body in bodies)
 
 
 def cheap_levels(scene: Scene, few: int = FEW) -> int:
