@@ -145,16 +145,14 @@ def rubbing_link() -> fmbd.Scene:
     return scene
 
 
-@pytest.mark.parametrize("rtol", [1e-6, 1e-9])
-def test_what_ends_of_steps_do_not_know_is_told_by_smaller_ones(rtol: float) -> None:
-    """Friction that turns round within a step is not seen by the error that chooses these: a tenth of the tolerance told 0.28 of
-    what it left, and none made that smaller.
-    """
+@pytest.mark.parametrize("rtol", [1e-4, 1e-6])
+def test_friction_that_turns_round_within_a_step_is_told_and_kept(rtol: float) -> None:
+    """It left up to 2e-3 of the range whatever the tolerance, of which a tenth of that told 0.28."""
     output = fmbd.Output(times=OUTPUT.times, energy=False, progress=False, estimate_error=True)
     exact = fmbd.solve(rubbing_link(), t_end=1.5, dt=5e-5, output=OUTPUT)
     run = fmbd.solve(rubbing_link(), t_end=1.5, scheme=fmbd.Radau(5, rtol=rtol), output=output)
     true, span = np.abs(run["place"] - exact["place"]).max(), np.ptp(exact["place"], axis=0).max()
-    assert true > 1e-4 * span and 0.5 < run.certificate["place"].total / true < 3.0
+    assert true < 30.0 * rtol * span and 0.5 < run.certificate["place"].total / true < 3.0
 
     kept = fmbd.solve(
         rubbing_link(), t_end=1.5, scheme=fmbd.Radau(5), tol={"place": fmbd.relative(2e-4)}, output=OUTPUT

@@ -312,6 +312,58 @@ def test_steps_over_a_reversal_are_seen(stages: int, compiled: bool, monkeypatch
     assert max(errors) < 60.0
 
 
+def to_and_fro(stick: float, damping: float) -> fmbd.Scene:
+    """1 kg that 10 cos 5t N push on a rail against dry friction of 5 N."""
+    scene, mass = fmbd.Scene("to and fro"), fmbd.RigidBody("mass", 1.0, 1.0, (0.0, 0.0))
+    rail = fmbd.prismatic("rail", fmbd.ground, mass, axis=(1, 0))
+    along = fmbd.displacement(rail)
+    scene.add(mass, rail, fmbd.dry_friction("rub", along, limit=5.0, stick=stick, damping=damping))
+    scene.add(fmbd.force("push", mass, lambda t: (10.0 * np.cos(5.0 * t), 0.0)))
+    scene.sensor("x", along)
+    return scene
+
+
+def exactly_to_and_fro(stick: float, damping: float, times: Array) -> Array:
+    """Its place at some times, piece by piece: it sticks in p, or (``side``) slides."""
+    p, side = 0.0, 0
+
+    def spring(z: Array) -> float:
+        return float(stick * (z[0] - p) + damping * z[1])
+
+    def rates(t: float, z: Array) -> tuple[float, float]:
+        return z[1], 10.0 * np.cos(5.0 * t) - (side * 5.0 if side else spring(z))
+
+    def ends(t: float, z: Array) -> float:  # p goes on no more, or begins to
+        return side * (z[1] + damping / stick * rates(t, z)[1]) if side else 5.0 - abs(spring(z))
+
+    ends.terminal, ends.direction = True, -1.0  # type: ignore[attr-defined]
+    given: dict[str, Any] = {"method": "DOP853", "rtol": 1e-11, "atol": 1e-13, "max_step": 2e-3, "dense_output": True}
+    x, y, now = np.zeros(len(times)), np.zeros(2), 0.0
+    while now < times[-1]:
+        made = solve_ivp(rates, (now, times[-1]), y, events=ends, **given)
+        inside = (times >= now) & (times <= made.t[-1])
+        x[inside] = made.sol(times[inside])[0] if inside.any() else 0.0
+        now, y = made.t[-1], made.y[:, -1]
+        p, side = (y[0] - (side * 5.0 - damping * y[1]) / stick, 0) if side else (p, int(np.sign(spring(y))))
+    return x
+
+
+@pytest.mark.parametrize("compiled", [True, False], ids=["compiled", "NumPy"])
+@pytest.mark.parametrize("stick, damping", [(1e4, 0.0), (1e5, 300.0), (1e7, 2e3)], ids=["soft", "damped", "stiff"])
+def test_dry_friction_that_turns_within_a_step_keeps_the_tolerance(
+    stick: float, damping: float, compiled: bool, monkeypatch: Any
+) -> None:
+    """Where the way goes back within a step p was that of its ends: 3 000 to 55 000 tolerances off, without a word."""
+    if not compiled:
+        monkeypatch.setattr(MarchingStepper, "_made", lambda *x: 0)
+    t = np.linspace(0.0, 1.3, 27)
+    x = exactly_to_and_fro(stick, damping, t)
+    schemes = [fmbd.Radau(5, rtol=1e-7), fmbd.Radau(5, rtol=1e-5), fmbd.ExplicitRungeKutta(rtol=1e-6)]
+    for scheme in [*schemes, fmbd.BDF(rtol=1e-4), fmbd.GeneralizedAlpha(rtol=1e-4)] if compiled else schemes[:2]:
+        run = fmbd.solve(to_and_fro(stick, damping), t_end=1.3, scheme=scheme, output=fmbd.Output(times=t))
+        assert np.abs(run["x"][:, 0] - x).max() < 300.0 * scheme.rtol * np.ptp(x), scheme.name
+
+
 def test_an_iteration_that_fails_beside_an_elastic_body_ends() -> None:
     """BDF tried a step near the break-away again and again, with new tangents of the rod that nobody took."""
     t = np.linspace(0.0, 0.35, 18)

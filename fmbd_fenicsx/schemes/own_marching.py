@@ -166,7 +166,7 @@ class OwnMarch(MarchingStepper):
         own.c.longest, own.c.tiny = min(self.longest, self.longest_stable), control.tiny
         # whoever begins later passes what somebody waits for
         own.c.last = np.inf if self._alone_now else self.last
-        self._used.parameters[CHOSEN] = True
+        self._used.parameters[CHOSEN] = norm.rtol
 
     def _take_own(self, own: OwnRoom, made: int) -> None:
         """What it has seen in so many steps."""

@@ -53,10 +53,12 @@ def whole_steps(system: System, t: float, h: float) -> float:
     return float(np.floor((due - t) / h - 1e-6)) if np.isfinite(due) else np.inf
 
 
-def overran(system: System, state: State, h: float) -> bool:
-    """Whether a step of h (s) to ``state``, chosen by its error, was too long for an element with a memory; collective."""
+def overran(system: System, state: State, h: float, rtol: float) -> bool:
+    """Whether a step of h (s) to ``state``, chosen by its error with this tolerance, was too long for an element with a memory;
+    collective.
+    """
     ev = system.at(state.t, state.q, state.v)
-    return any(loads.overran(ev, h) for loads in system.forces)
+    return any(loads.overran(ev, h, rtol) for loads in system.forces)
 
 
 def accept(system: System, state: State) -> bool:

@@ -26,16 +26,16 @@ ALL = slice(None)
 ON_LIMIT = 1e-9  # share of the limit within which a force lies on it
 DIGITS = 1.8e-15  # share of s and p that is roundoff
 WITHIN = 1e-9  # share of the last step by which its end is not within it
-KEPT = 7  # numbers of each
+KEPT = 11  # numbers of each
 AT_ONCE = 2.0  # steps
 CHATTERS = 3  # turns that are no motion
 ROUNDOFF = 1e-9  # of what the ends of a joint move: rates below are those of projections onto the joints
 
 
 class DryFrictionLoads(ScalarLoads):
-    """Elements (1) of one kind of coordinate; ``kept`` (m, 7): the point p where each sticks, the time (s) since which, both
+    """Elements (1) of one kind of coordinate; ``kept`` (m, 11): the point p where each sticks, the time (s) since which, both
     before the last step, or before the last part of one with impacts; on which side it slid last, steps since then, how often
-    it went back at once.
+    it went back at once; where its spring ended and s' then, and the largest sizes of s and s' so far.
     """
 
     by_ends = True
@@ -82,7 +82,8 @@ class DryFrictionLoads(ScalarLoads):
         While it slides against its damping p runs ahead of the spring, by c s' / k: an offset that is gone when the joint
         comes to rest, and no energy.
         """
-        offset = np.abs(self.relative.values(kin) - self._dragged(kin, t))
+        s, rate = self._state(kin)
+        offset = np.abs(s - self._dragged(self._stuck(t), self._end(s, rate)))
         stretch = np.minimum(offset, self.limit / self.k)
         return 0.5 * float((self.k * stretch**2).sum())
 
@@ -104,42 +105,60 @@ class DryFrictionLoads(ScalarLoads):
         moves = np.abs(rate) > ROUNDOFF * self.relative.swept(ev.kin)
         p = s - np.where(moves, np.sign(rate) * self.limit - self.c * rate, 0.0) / self.k
         now = np.full(len(p), ev.t)
-        return np.column_stack((p, now, s, now, np.zeros((len(p), 3))))  # p is not s where it slides
+        return np.column_stack(
+            (p, now, s, now, np.zeros((len(p), 3)), self._end(s, rate), rate, np.abs(s), np.abs(rate))
+        )  # p is not s where it slides
 
-    def overran(self, ev: Any, h: float) -> bool:
-        """Whether what slides where the step ends, or sticks there and slid where it began, goes backwards: it turned within the
-        step, by more than the spring before sliding gives.
+    def overran(self, ev: Any, h: float, rtol: float) -> bool:
+        """Whether what slides has turned within the step, farther from its ends than this share of the largest s and s' so far.
+
+        By the ends of steps p is not dragged on to the turn, so that N stays on its limit all the way back. What is wrong of the
+        way, up to the turn or behind it, is the less of both; of s' it is as much as N has changed there. The turn is the farther
+        one of those that rates which change evenly lead to from either end.
         """
-        s, rate = self._state(ev.kin)
-        trial = self._trial(s, rate, ev.t)
-        ahead = np.where(np.abs(trial) > self.limit, trial, self.kept[:, 0] - self.kept[:, 2])
-        wrong = (ahead * rate < 0) & (self.k * np.abs(rate) * h > self.limit)
-        return bool(wrong.any())
+        (s, rate), p = self._state(ev.kin), self.kept[:, 0]
+        began, before, reach, fastest = self.kept[:, 7:].T
+        end, leads = self._end(s, rate), self.c / self.k * (rate - before) / h
+        first, last = before + leads, rate + leads
+        turns = first * last < 0.0
+        slows = np.divide(0.5 * h, first - last, out=np.zeros_like(rate), where=turns)
+        ways = began + slows * first**2, end + slows * last**2
+        turn = np.where(first > 0.0, np.maximum(*ways), np.minimum(*ways))
+        way = np.minimum(np.abs(self._dragged(p, turn) - p), np.abs(turn - end))
+        gained = np.minimum(np.abs(first), np.abs(last)) * np.minimum(0.5 * self.k / self.limit * way, 1.0)
+        far = way > rtol * np.maximum(reach, self.limit / self.k)
+        return bool((turns & (far | (gained > rtol * np.maximum(fastest, np.abs(rate))))).any())
 
     def accepted(self, ev: Any, state: Any) -> Array:
         """p after a step, and what was before it."""
         earlier = (ev.t > self.kept[:, 1])[:, None]
-        p = self._dragged(ev.kin, ev.t)
+        s, rate = self._state(ev.kin)
+        p = self._dragged(self._stuck(ev.t), self._end(s, rate))
         points = np.column_stack((p, np.full(len(p), ev.t), np.where(earlier, self.kept[:, :2], self.kept[:, 2:4])))
 
         # those that slide back at once: p moves by more than their springs give
-        N, (side, ago, chattered) = self.effort(*self._state(ev.kin), ev.t), self.kept.T[4:]
+        N, (side, ago, chattered) = self.effort(s, rate, ev.t), self.kept.T[4:7]
         slid = self.k * np.abs(p - self.kept[:, 0]) > self.limit
         back = slid & (side * N < 0.0)
         chattered = chattered + (back & (ago <= AT_ONCE))
         turned = np.column_stack((np.where(slid, np.sign(N), side), np.where(back, 1.0, ago + 1.0), chattered))
-        return np.concatenate((points, np.where(earlier, turned, self.kept[:, 4:])), axis=1)
+        reached = np.column_stack((self._end(s, rate), rate))
+        sizes = np.maximum(self.kept[:, 9:], np.abs(np.column_stack((s, rate))))
+        return np.concatenate((points, np.where(earlier, turned, self.kept[:, 4:7]), reached, sizes), axis=1)
 
     @property
     def chattering(self) -> list[str]:
         """Names of those that went from limit to limit and back in one or two steps, again and again: they hold nothing."""
         return [f.name for f, count in zip(self.forces, self.kept[:, 6], strict=True) if count >= CHATTERS]
 
-    def _dragged(self, kin: Kinematics, t: float) -> Array:
-        """p if a step ends here, (m,)."""
-        s, rate = self._state(kin)
-        slides = np.abs(self._trial(s, rate, t)) > self.limit
-        return np.where(slides, s - (self.effort(s, rate, t) - self.c * rate) / self.k, self._stuck(t))
+    def _end(self, s: Array, rate: Array) -> Array:
+        """Where the spring ends whose other end is p: N = k (end - p) while it sticks, (m,)."""
+        return np.asarray(s + self.c / self.k * rate)
+
+    def _dragged(self, p: Array, end: Array) -> Array:
+        """p behind a spring that ends there, (m,)."""
+        most = self.limit / self.k
+        return np.where(np.abs(end - p) > most, end - np.copysign(most, end - p), p)
 
 
 @dataclass(frozen=True, eq=False)

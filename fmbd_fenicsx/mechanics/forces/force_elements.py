@@ -132,8 +132,8 @@ class Loads:
         """The memory after a step that ended in a state, evaluated as ``ev``."""
         return self.kept
 
-    def overran(self, ev: Any, h: float) -> bool:
-        """Whether a step of h (s) that ended in a state, evaluated as ``ev``, was too long for the memory to follow."""
+    def overran(self, ev: Any, h: float, rtol: float) -> bool:
+        """Whether a step of h (s) to a state, evaluated as ``ev``, was too long for the memory to follow within ``rtol``."""
         return False
 
     @property

@@ -82,7 +82,8 @@ def dry_friction(name: str, on: Coordinate, *, limit: float, stick: float, dampi
         stick: k, stiffness before sliding, N m/rad or N/m. Sliding sets in after F / k; make that small against the motion.
         damping: c, of vibrations on that stiffness, N m s or N s/m.
 
-    A step in which it begins or ends to slide has an error of first order, as steps over any kink.
+    A step in which it begins or ends to slide has an error of first order, as steps over any kink; steps of a scheme's own choice
+    keep its tolerance there.
     """
     positive("Dry friction", name, limit=limit, stick=stick)
     not_negative("Dry friction", name, damping=damping)

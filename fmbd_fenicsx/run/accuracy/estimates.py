@@ -33,7 +33,7 @@ from .equal_steps import equal_steps_error
 from .jumps_at_records import jumps_at_records
 from .jumps_in_time import jumps_about_kinks
 from .larger_steps import SLOW, beyond_by_halves
-from .orders import expected_orders, seen_by_ends
+from .orders import expected_orders
 from .search.space_levels import finer_scene, space_deviations, unended
 
 if TYPE_CHECKING:
@@ -45,7 +45,6 @@ TENTH = 0.1  # of a tolerance
 # power of tolerances that errors are thought to fall with at most, and the most that a finer run is thought to have left of one
 FALLS, LEFT = 0.7, 0.6
 TELLING = 2.0  # ratio by which errors fall, by the steps that were taken, from which on runs are compared
-SHORT = 0.25  # of the mean step, where the tolerance does not choose them
 PEAKS = 30.0  # times what Newton's iteration leaves in the mean that it does at single ends of steps
 SHOWN = 4  # jumps in a message
 SATURATION = 1.5  # the error of the finer basis counts as at most a third of that of the given one
@@ -162,18 +161,12 @@ def usual_errors(made: Compared) -> dict[str, Deviation]:
 def _from_tolerance(
     problem: Problem, given: Compared, rtol: float, of: Built | None = None
 ) -> tuple[dict[str, Deviation], Compared]:
-    """What a run with another tolerance has beyond a given one, at some of its records, and that run; collective.
-
-    Where elements are moved by ends of steps alone both might share steps, and what these are off: a finer run has shorter ones.
-    """
+    """What a run with another tolerance has beyond a given one, at some of its records, and that run; collective."""
     recorder, schedule = given.recorder, given.schedule
     other = replace(problem, scheme=replace(problem.scheme, rtol=rtol))
     rows = looked_at(recorder)
     wanted = Output(energy=False, progress=False, times=tuple(recorder.times[rows]))
-    steps = schedule
-    if rtol < problem.scheme.rtol and seen_by_ends(problem.system):
-        steps = schedule.below(SHORT * schedule.span / max(int(recorder.indices[-1]), 1))
-    made = Compared(companion(other, steps, wanted, of).recorder, schedule, other.scheme)
+    made = Compared(companion(other, schedule, wanted, of).recorder, schedule, other.scheme)
     there = {n: x[rows] for n, x in recorder.series.items()}
     seen = {n: x for n, x in made.recorder.series.items() if x.shape == there[n].shape}  # not those of each mesh
     apart = {n: Deviation(made.recorder.times, x - there[n]) for n, x in seen.items()}

@@ -91,7 +91,7 @@ def attempt_judged(
         made = state.t - before.t
         try:
             seen = _judged(system, stepper, made, closed, balanced)
-            if not (left and system.keepers and overran(system, state, made)):
+            if not (left and system.keepers and overran(system, state, made, closed.rtol)):
                 return seen
         except ConvergenceError:
             if not left:
@@ -134,7 +134,7 @@ def diverged(t: float, h: float, why: object) -> ConvergenceError:
 @dataclass
 class Closed(Remembering):
     """Refuses states whose constraints are open. ``levels``: those that the scheme holds; ``share``: the factor of L in (1);
-    ``even``: whether steps are of one size.
+    ``even``: whether steps are of one size; ``rtol``: else what chooses them.
     """
 
     keeps: ClassVar = dict.fromkeys(("fastest", "last", "step"), plain())
@@ -143,6 +143,7 @@ class Closed(Remembering):
     levels: tuple[int, ...]
     share: float = OPEN
     even: bool = True
+    rtol: float = 0.0
     fastest: float = field(default=0.0)  # m/s, of all states so far
     last: float | None = field(default=None)  # s, time of the newest state that has passed
     step: float = 1.0  # s, from the one before to that
@@ -151,7 +152,8 @@ class Closed(Remembering):
     @staticmethod
     def under(system: System, said: Declared) -> Closed:
         """For the states of a scheme by what it has said; one that says nothing of its levels is not judged."""
-        return Closed(system, said.levels, OPEN if said.rtol is None else max(OPEN, said.rtol), not said.adaptive)
+        rtol = said.rtol or 0.0
+        return Closed(system, said.levels, max(OPEN, rtol), not said.adaptive, rtol)
 
     @cached_property
     def units(self) -> Array:

@@ -30,7 +30,7 @@ from ..equal_steps import NEAREST, Orders
 from ..estimates import usual_power
 from ..jumps_in_time import jumps_about_kinks, with_break_points
 from ..larger_steps import MEAN_ORDER, SLOW
-from ..orders import MOST_LEFT, expected_orders, highest_order, resolved, seen_by_ends
+from ..orders import MOST_LEFT, expected_orders, highest_order, resolved
 from .shared_spaces import SharedSpaces
 from .shares import AIM, ITERATED, WHOLE, Tolerance, check_floor, largest_share, share
 from .space_levels import UNENDED
@@ -207,10 +207,6 @@ def next_plan(
     made = replace(made, scheme=finer.scheme, schedule=max(made.schedule, finer.schedule, key=lambda x: x.steps))
     if not made.steps and made.scheme.rtol >= plan.scheme.rtol:
         return None, "the scheme's tolerance is at roundoff"
-    if not made.steps and seen_by_ends(run.system):  # which its tolerance does not choose
-        made = replace(
-            made, schedule=made.schedule.below(max(factor, NEAR) * plan.schedule.span / run.counters["steps"])
-        )
     return made, " and ".join([*done, "finer steps"])
 
 

@@ -22,7 +22,6 @@ from ..estimates import (
     usual_power,
 )
 from ..larger_steps import larger_steps_error
-from ..orders import seen_by_ends
 from .shared_runs import SharedRuns, acts, orders_of
 from .shares import DOUBTED, ITERATED, Allowed
 
@@ -83,7 +82,7 @@ class SharedTolerances(SharedRuns):
         """
         problem, given = solved.problem, solved.compared
         scene, scheme, output = problem.scene, replace(problem.scheme, rtol=rtol), given.recorder.output
-        if seen_by_ends(problem.system) or acts(output) or self._before(scene, scheme, given.schedule) is not given:
+        if acts(output) or self._before(scene, scheme, given.schedule) is not given:
             return None
         found = self.solve(scene, scheme, given.schedule, output)
         self._whole[id(scene), rtol] = found

@@ -93,15 +93,16 @@ void energies(System *s, double t, const double *q, const double *v, const doubl
     for (Rod *k = s->rod; k < s->rod + s->rods; k++) out[1] += rod_energy(s, k, t);
 }
 
-/* Whether a step of h to a state whose frames are placed is too long for dry friction that turned within. */
-int friction_overran(System *s, double t, double h)
+/* Whether a step of h to a state at t whose frames are placed is too long for dry friction that turned within; ``share``: of its places
+   that it may miss. */
+int friction_overran(System *s, double t, double h, double share)
 {
     for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
         if (k->told || k->role != FORMULA || k->formula != DRY) continue;
         values(s, k);
         efforts(s, k, t);
         for (long i = 0; i < k->n; i++)
-            if (overruns(k, i, t, h)) return 1;
+            if (overruns(k, i, h, share)) return 1;
     }
     return 0;
 }

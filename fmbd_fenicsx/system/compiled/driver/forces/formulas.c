@@ -16,9 +16,9 @@ static double cut(double effort, double limit, double *k, double *c)
 }
 
 /* What dry friction keeps, as dry_friction.py: the point p where it sticks, the time since which, and both before the last step, or the
-   last part of it; on which side it slid last, steps since it came there, and how often it went back at once; and here the same as it was
-   when a step began. */
-enum { STUCK, SINCE, STUCK_BEFORE, BEGAN, SIDE, AGO, CHATTERED, DRAGGED };
+   last part of it; on which side it slid last, steps since it came there, and how often it went back at once; where its spring
+   ended and x' then, and the largest sizes of x and x' so far; and here the same as it was when a step began. */
+enum { STUCK, SINCE, STUCK_BEFORE, BEGAN, SIDE, AGO, CHATTERED, END, PACE, REACH, FASTEST, DRAGGED };
 static const double AT_ONCE = 2.0; /* steps */
 
 static const double WITHIN = 1e-9; /* share of the last step by which its end is not within it */
@@ -212,20 +212,25 @@ void formula(Batch *k, long i, double t)
     }
 }
 
-/* Where dry friction sticks if a step ends at t, at the s, s' and effort of the last evaluation. */
-static double dragged(const Batch *k, long i, double t)
+/* Where the spring of dry friction ends at the s and s' of the last evaluation. */
+static double friction_end(const Batch *k, long i)
 {
-    const double *p = k->constants + FORMULA_WIDTH * i, x = k->s[i] - k->free[i], was = stuck(k->kept + MEMORY * i, t);
-    if (!(fabs(p[0] * (x - was) + p[1] * k->rate[i]) > p[2])) return was;
-    return x - (k->effort[i] - p[1] * k->rate[i]) / p[0];
+    const double *p = k->constants + FORMULA_WIDTH * i;
+    return k->s[i] - k->free[i] + p[1] / p[0] * k->rate[i];
+}
+
+/* Where it sticks behind a spring that ends there, and has stuck in ``was``. */
+static double dragged(const double *p, double was, double end)
+{
+    return fabs(end - was) > p[2] / p[0] ? end - copysign(p[2] / p[0], end - was) : was;
 }
 
 /* Dry friction takes up a step that ends at t, likewise. */
 static void friction_keep(const Batch *k, long i, double t)
 {
     double *kept = k->kept + MEMORY * i;
-    const double p = dragged(k, i, t);
-    const double *c = k->constants + FORMULA_WIDTH * i; /* where it slid p moved by more than its spring gives */
+    const double *c = k->constants + FORMULA_WIDTH * i, end = friction_end(k, i), p = dragged(c, stuck(kept, t), end);
+    /* where it slid p moved by more than its spring gives */
     const int slid = c[0] * fabs(p - kept[STUCK]) > c[2], back = slid && kept[SIDE] * k->effort[i] < 0.0;
     if (back && kept[AGO] <= AT_ONCE) kept[CHATTERED] += 1.0;
     kept[AGO] = back ? 1.0 : kept[AGO] + 1.0;
@@ -237,6 +242,10 @@ static void friction_keep(const Batch *k, long i, double t)
     }
     kept[STUCK] = p;
     kept[SINCE] = t;
+    kept[END] = end;
+    kept[PACE] = k->rate[i];
+    kept[REACH] = fmax(kept[REACH], fabs(k->s[i] - k->free[i]));
+    kept[FASTEST] = fmax(kept[FASTEST], fabs(k->rate[i]));
 }
 
 /* What dry friction keeps where a step begins: kept, or put back. */
@@ -260,14 +269,17 @@ void drag_friction(System *s, double t)
     }
 }
 
-/* Whether dry friction that slides at the end of a step of h, or sticks there and slid at its beginning, goes backwards: it turned within,
-   by more than its spring gives. */
-static int overruns(const Batch *k, long i, double t, double h)
+/* Whether dry friction has turned within a step of h, farther from its ends than a share of its largest sizes, as dry_friction.py. */
+static int overruns(const Batch *k, long i, double h, double share)
 {
-    const double *p = k->constants + FORMULA_WIDTH * i, *kept = k->kept + MEMORY * i, rate = k->rate[i];
-    const double trial = p[0] * (k->s[i] - k->free[i] - stuck(kept, t)) + p[1] * rate;
-    const double ahead = fabs(trial) > p[2] ? trial : kept[STUCK] - kept[STUCK_BEFORE];
-    return ahead * rate < 0.0 && p[0] * fabs(rate) * h > p[2];
+    const double *p = k->constants + FORMULA_WIDTH * i, *kept = k->kept + MEMORY * i, most = p[2] / p[0], end = friction_end(k, i);
+    const double leads = p[1] / p[0] * (k->rate[i] - kept[PACE]) / h, first = kept[PACE] + leads, last = k->rate[i] + leads;
+    if (!(first * last < 0.0)) return 0;
+    const double slows = 0.5 * h / (first - last), ahead = kept[END] + slows * first * first, behind = end + slows * last * last;
+    const double turn = first > 0.0 ? fmax(ahead, behind) : fmin(ahead, behind);
+    const double way = fmin(fabs(dragged(p, kept[STUCK], turn) - kept[STUCK]), fabs(turn - end));
+    const double gained = fmin(fabs(first), fabs(last)) * fmin(0.5 * way / most, 1.0);
+    return way > share * fmax(kept[REACH], most) || gained > share * fmax(kept[FASTEST], fabs(k->rate[i]));
 }
 
 /* What item i stores at a time t, at the s, s' and effort of the last evaluation, J. */
@@ -278,7 +290,8 @@ static double stored(const Batch *k, long i, double t)
     if (k->formula == STOP) return 0.5 * p[2] * depth_of(p, x) * depth_of(p, x);
     if (k->formula == POTENTIAL) return x;
     if (k->formula != DRY) return 0.0;
-    stretch = fmin(fabs(x - dragged(k, i, t)), p[2] / p[0]); /* while it slides p runs ahead: nothing is stored there */
+    stretch = fabs(x - dragged(p, stuck(k->kept + MEMORY * i, t), friction_end(k, i)));
+    stretch = fmin(stretch, p[2] / p[0]); /* while it slides p runs ahead: nothing is stored there */
     return 0.5 * p[0] * stretch * stretch;
 }
 
