@@ -73,7 +73,7 @@ static int judge_state(System *s, const Watch *w, double *p, const Block *past, 
     if (w->closed && !(placed && passes(s, w->closed, out, p[H]))) return DOUBT;
     if (guarded && placed && gained(s, p, out, e)) return GAIN;
     if ((s->remembers || recorded || waits) && !placed) return LOOK;
-    const double share = w->control ? w->control->rtol : p[CHOSEN];
+    const double share = w->control ? w->control->own->rtol : p[CHOSEN];
     if (share > 0.0 && s->remembers && friction_overran(s, *out->t, *out->t - *past->t, share)) return LOOK;
     if (recorded && w->contact) record_contact(w->contact, out, w->tape->contact, place_on(w->tape));
     if (recorded) verdict = record(s, w->tape, out, guarded ? e : 0, w->tape->left == 1 || waits);
