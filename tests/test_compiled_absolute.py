@@ -125,9 +125,32 @@ def test_soft_bodies_take_new_tangents_in_compiled_steps(rod_mesh: Callable[...,
 
     fast, slow = pair(make, form, t_end=0.08, dt=1e-3)
     made = [run.counters["factorisations"] for run in (fast, slow)]
-    assert made[0] == made[1] > 15
+    assert made[0] == made[1] > 5
     assert fast.counters["halved_steps"] == slow.counters["halved_steps"] == 0
     agree(fast, slow, 80)
+
+
+@pytest.mark.parametrize(
+    ("cls", "law", "most"),
+    [
+        (fmbd.FloatingBody, fmbd.materials.sheet_saint_venant_kirchhoff(5e7, 0.3), 5),
+        (fmbd.AbsoluteBody, neo_hookean_mixed(5e7, 0.499), 40),
+    ],
+)
+def test_tangents_are_kept_where_new_ones_do_not_help(
+    rod_mesh: Callable[..., Any], cls: Any, law: Any, most: int
+) -> None:
+    """A spinning rod whose vibrations steps do not resolve: a tangent saves two increments of a step, and costs forty."""
+    mesh = rod_mesh(dim=2, h=0.25, height=0.1)
+
+    def make() -> fmbd.Scene:
+        scene = fmbd.Scene("spin")
+        scene.add(cls("rod", mesh, density=1000.0, energy=law, angular_velocity=8.0))
+        return scene
+
+    fast, slow = pair(make, t_end=0.32, dt=4e-3)
+    assert fast.counters["factorisations"] == slow.counters["factorisations"] <= most
+    assert not fast.counters["halved_steps"]
 
 
 def test_tangents_at_once_after_steps_that_took_several(rod_mesh: Callable[..., Any]) -> None:
@@ -135,7 +158,7 @@ def test_tangents_at_once_after_steps_that_took_several(rod_mesh: Callable[..., 
     soft = {"energy": fmbd.materials.sheet_saint_venant_kirchhoff(1e6, 0.3)}
     mesh = rod_mesh(dim=2, h=0.25, height=0.1)
     fast, slow = pair(lambda: arm(mesh, soft)[0], t_end=0.4, dt=1e-2)
-    assert fast.counters["factorisations"] == slow.counters["factorisations"] > 12
+    assert fast.counters["factorisations"] == slow.counters["factorisations"] > 8
     agree(fast, slow, 40)
 
 

@@ -47,6 +47,23 @@ def test_a_new_tangent_is_asked_for_when_the_rate_is_poor():
     assert asked == [1]
 
 
+def test_a_new_tangent_waits_until_increments_have_paid_for_it():
+    """Steps of seven increments, three would do: 4 are lost in each, and 8 times the patience of 4 are the price; where steps
+    take seven with the new one, too, it is kept.
+    """
+    newton, asked = Newton(), []
+    for k in range(40):
+        feed = iter([1e6 * 0.1**i for i in range(9)])
+        assert newton.solve(lambda feed=feed: next(feed), lambda k=k: not asked.append(k), cost=8.0)[0]
+    assert asked == [8]
+
+
+def test_a_new_tangent_does_not_wait_where_the_step_would_not_end():
+    asked = []
+    feed = iter([1e6, 5e5, 1e2, 1e-3])
+    assert Newton().solve(lambda: next(feed), lambda: not asked.append(1), cost=8.0)[0] and asked == [1]
+
+
 def test_rows_follow_a_prediction_that_was_far_off(rod_mesh: Callable[..., Any]) -> None:
     """Two stiff rods on a crank, loaded at once: rows of the predicted configuration would not let the iteration converge."""
     mesh, steel = rod_mesh(dim=2, h=0.1, height=0.04), fmbd.materials.plane_stress(2e9, 0.3)

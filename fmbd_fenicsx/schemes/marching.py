@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from .onestep.explicit_limit import StepLimit
 
 COMPILED = "compiled (all bodies, joints and forces in C; NumPy for the start and for steps it gives back)"
+ACCOUNT = [slots.FEWEST, slots.WASTED, slots.BEGIN_ANEW, slots.WAIT]
 AGAIN = (slots.GAIN, slots.DOUBT)  # after these the same step is found once more, by itself
 
 
@@ -46,6 +47,7 @@ def take_newton(p: Array, newton: Newton, steps: int) -> None:
     newton.iterations += int(p[slots.ITERATIONS])
     newton.note(float(p[slots.LEFT]), steps)
     newton.theta = float(p[slots.THETA])
+    newton.account.numbers = list(p[ACCOUNT])
 
 
 def make_steps(
@@ -64,6 +66,7 @@ def make_steps(
     p, energy, joints = march.parameters, observers.energy, observers.joints
     energies = slice(slots.HIGHEST, slots.SETTLING + 1)
     p[slots.H], p[slots.THETA], p[slots.GUARDED] = h, newton.theta, energy is not None
+    p[ACCOUNT] = newton.account.numbers
     if energy is not None:
         p[energies] = energy.limits
     if joints is not None:

@@ -22,11 +22,13 @@ from ..system.compiled.declarations import constants, enumeration
 from ..system.evaluation import Evaluation
 from ..system.lengths import SHUT, farthest
 from ..system.system import System
+from .tangent_account import TangentAccount
 
 FAR = 1e3  # of the tolerance: a first increment above it is worth a tangent of its own in bodies that change theirs every step
 # share of places that increments may be roundoff of
 (LEFT_OF_PLACES,) = constants("parts.h", "LEFT_OF_PLACES")
 TELLING = enumeration("TELLING", "onestep/alpha.c")["TELLING"]
+IN_RESERVE = enumeration("IN_RESERVE", "onestep/alpha.c")["IN_RESERVE"]
 FINEST = 1e-13  # increments are known to about this share
 # of SHUT: increments that leave joints closed, as rates of convergence foretell errors to a factor of ten
 CLOSING = 0.1
@@ -63,7 +65,7 @@ class Newton:
         patience: a new tangent is taken when more than this many further increments are to be expected.
         tangent: None for a tangent kept over steps, or :class:`ExactTangent`.
 
-    The rest is kept by a run: ``iterations`` all increments, ``renewals`` tangents of the last step.
+    The rest is kept by a run: ``iterations`` all increments, ``renewals`` tangents of the last step, ``account`` of their cost.
     """
 
     tolerance: float = 1e-6
@@ -71,8 +73,8 @@ class Newton:
     slow: float = 0.9
     patience: float = 4.0
     tangent: ExactTangent | None = None
-    # tangents that the last step took: where there were several, the next one begins with one
     renewals: int = field(default=0, init=False)
+    account: TangentAccount = field(default_factory=TangentAccount, init=False)
     iterations: int = field(default=0, init=False)
     theta: float = field(default=0.5, init=False)
     left: float = field(default=0.0, init=False)  # errors that solved steps left, over the tolerance, summed
@@ -95,13 +97,15 @@ class Newton:
         *,
         ahead: bool = False,
         begun: bool = False,
+        cost: float = 0.0,
         misfit: Callable[[], float] = lambda: 0.0,
         foretold: Callable[[float], float] = lambda size: math.inf,
     ) -> tuple[bool, list[float]]:
         """Call ``increment`` (it applies one increment, returns its norm over the tolerance) until the error
         is below 1. ``renew`` takes a new tangent and tells whether there was one to take: where the last increment began, or
-        ``ahead``, where it led; ``begun``: the step began with one. ``misfit``: share of the last increment that its tangent may
-        have got wrong.
+        ``ahead``, where it led; ``begun``: the step began with one. ``cost``: of one, over that of as many increments as there is
+        patience for: where the step ends without, it waits until increments have paid for it (:mod:`.tangent_account`).
+        ``misfit``: share of the last increment that its tangent may have got wrong.
         ``foretold``: the error that a first increment of this size leaves, where earlier steps tell.
 
         Returns whether it converged, and the history of norms.
@@ -122,7 +126,8 @@ class Newton:
                 self.theta = max(min(theta, 0.999), 1e-4)
                 left = self.theta / (1 - self.theta) * size
                 # too slow to end within the patience: a new tangent
-                if left > 1.0 and refreshed < 10 and -math.log(left) / math.log(self.theta) > self.patience:
+                further = -math.log(left) / math.log(self.theta) if left > 1.0 else 0.0
+                if refreshed < 10 and further > self.patience and (begun or self._pays(len(history) + further, cost)):
                     refreshed += 1
                     if renew():
                         self.theta = 0.1
@@ -145,8 +150,13 @@ class Newton:
             if (left <= 1.0 or size <= 1e-3) and (len(history) >= TELLING or misfit() * size <= 1.0):
                 self.note(left)
                 self.renewals = refreshed
+                self.account.settle(len(history), refreshed)
                 return True, history
         return False, history
+
+    def _pays(self, made: float, cost: float) -> bool:
+        """Whether a tangent of this cost is worth it where a step would end after so many increments without."""
+        return made > self.max_iterations - IN_RESERVE or self.account.wasted_by(made) >= cost * self.patience
 
     def afresh(self) -> Newton:
         """The same settings, nothing counted yet."""

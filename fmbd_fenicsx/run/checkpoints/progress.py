@@ -87,5 +87,6 @@ class RunProgress:
         remember_solver(self.solver, m.inside("solver"), self.stepper.state)
         n = self.newton
         n.iterations, n.theta, n.renewals = m("Newton", (n.iterations, n.theta, n.renewals))
+        worker(m, "tangents", n.account)
         worker(m, "balanced", self.balanced)
         worker(m, "closed", self.recorder.drift.closed)

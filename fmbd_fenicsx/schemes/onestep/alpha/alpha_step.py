@@ -29,7 +29,7 @@ from .secants import Secants
 FAR = 1e-4
 # rate above which force elements get a new tangent: a stiff spring has its true tension, and with it its
 # stiffness across, only after the first increment
-(SLOW_TURN,) = constants("onestep/alpha.c", "SLOW_TURN")
+SLOW_TURN, TANGENT_COST = constants("onestep/alpha.c", "SLOW_TURN", "TANGENT_COST")
 SLOW = 0.1  # rate above which gaps of roundoff may be what keeps increments from falling
 PATIENCE = 4  # iterations with the tangent of the first one, where a new tangent is cheap
 
@@ -150,9 +150,14 @@ class AlphaStep:
 
     def solve(self) -> tuple[bool, list[float]]:
         """Iterate; whether it converged, and the history of increments over the tolerance."""
-        begun = self.begins_anew and self.newton.renewals > 0 and self._begin_anew()
+        begun = self.begins_anew and self.newton.account.anew > 0 and self._begin_anew()
         return self.newton.solve(
-            self._increment, self._renew, ahead=self.foretells, begun=begun, misfit=lambda: self.misfit
+            self._increment,
+            self._renew,
+            ahead=self.foretells,
+            begun=begun,
+            misfit=lambda: self.misfit,
+            cost=TANGENT_COST,
         )
 
     @property

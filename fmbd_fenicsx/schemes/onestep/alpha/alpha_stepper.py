@@ -197,8 +197,8 @@ class AlphaStepper(TimeStepper):
             plain = replace(start, a=self._predict(rule, evens=False)[0])
             if self.system.max_abs(plain.a - start.a) > 0.0:
                 yield plain  # leaps may be where a body snaps through
-        if not self.newton.renewals and any(part.begins_anew for _, part in self.system.fields):
-            self.newton.renewals = 1  # a tangent where the step is predicted
+        if not self.newton.account.anew and any(part.begins_anew for _, part in self.system.fields):
+            self.newton.account.begin_anew()
             yield start
 
     def _damped(self, rule: Rule) -> Array | None:

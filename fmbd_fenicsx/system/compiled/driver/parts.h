@@ -127,6 +127,7 @@ void close_softened(const Softened *o, double *y);
 /* Parameters of a march; increments of a step at most. */
 enum { H, AM, AF, GAMMA, BETA, TOL, FLOOR, CEILING, LENGTH, THETA, SLOW, MAXIT, HISTORY, PATIENCE, NEW_TANGENT, FAR,  /* in */
        ITERATIONS, LOCAL, GUARDED, HIGHEST, TURNOVER, WEIGHT, SHARE, SETTLING, LEFT,                                   /* in and out */
+       FEWEST, WASTED, BEGIN_ANEW, WAIT,   /* in and out: schemes/tangent_account.py */
        STABILISED, CHOSEN, EVENS, PARAMETERS }; /* in: the GGL form; sizes by error control; no first step: leaps are evened out */
 enum { MOST = 64 };
 

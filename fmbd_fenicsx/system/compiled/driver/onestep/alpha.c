@@ -8,6 +8,9 @@ static const double WORTH = 1e3;      /* first increments, over the tolerance, t
 static const double BEST_RATE = 0.02; /* that a step without a second increment counts on */
 static const double AS_NEW = 0.1;     /* of the tolerance: what a matrix of an earlier step may leave; its own leaves less than is told */
 enum { RENEWALS = 10 };               /* of tangents of fields in a step at most */
+enum { IN_RESERVE = 3 };              /* increments of a step that are left for those behind new tangents of fields */
+enum { SELDOM = 15 };                 /* steps in a row that begin with new ones at most, before one is tried without */
+static const double TANGENT_COST = 8.0; /* of new ones, over that of as many increments as a step has patience for */
 enum { TELLING = 4 };                 /* increments whose rate tells the error, whatever pulls may have misled them */
 
 /* Weights of the parabola through the last steps (less at the start) at the time t. */
@@ -92,11 +95,27 @@ static int strayed(const System *s, const double *p, const double *xi, double *b
     return largest_of(s->units, begun, s->nv) > near;
 }
 
-/* Whether fields should have new tangents, as schemes/newton.py. */
-static int worth_tangents(const System *s, const double *p, double first, int done, double left)
+/* Whether fields should have new tangents, as schemes/newton.py: the step would not end without, or increments have paid for them. */
+static int worth_tangents(const System *s, const double *p, double first, int done, int ahead, double left)
 {
-    int at_once = done == 1 && s->foretells && s->renewals > 1 + s->begins && first > WORTH;
-    return s->renewable && (at_once || lingers(p, done, left));
+    const int at_once = done == 1 && s->foretells && s->renewals > 1 + ahead && first > WORTH, slow = lingers(p, done, left);
+    if (!s->renewable || !slow || ahead) return s->renewable && (at_once || slow);
+
+    const double made = done - log(left) / log(p[THETA]), more = p[FEWEST] > 0.0 ? fmax(made - p[FEWEST], 0.0) : 0.0;
+    return made > p[MAXIT] - IN_RESERVE || p[WASTED] + more >= TANGENT_COST * p[NEW_TANGENT];
+}
+
+/* A step took so many increments and new tangents of fields, as schemes/tangent_account.py. */
+static void settle(double *p, int made, int renewed)
+{
+    if (!renewed) p[WAIT] = 0.0;
+    else if (p[BEGIN_ANEW] == 0.0 && (p[FEWEST] == 0.0 || renewed > 1)) {
+        p[WAIT] = fmin(2.0 * p[WAIT] + 1.0, SELDOM);
+        p[BEGIN_ANEW] = p[WAIT] + 1.0;
+    }
+    if (renewed < 2 && made <= IN_RESERVE) p[BEGIN_ANEW] = fmax(p[BEGIN_ANEW] - 1.0, 0.0);
+    p[FEWEST] = renewed ? 0.0 : p[FEWEST] > 0.0 ? fmin(p[FEWEST], made) : made;
+    p[WASTED] = renewed ? 0.0 : p[WASTED] + made - p[FEWEST];
 }
 
 /* Whether a step leaves out the rates of motions: it holds places alone, and these cost less. */
@@ -118,7 +137,7 @@ typedef struct {
     int renewed;                       /* whether a later increment than the first had a new matrix */
     int touching;                      /* contacts that take part */
     int grown;                         /* increments of bodies with an energy that were larger than the one before */
-    int evaluated, renewals;           /* whether the end was evaluated already; new tangents of fields */
+    int evaluated, renewals, ahead;    /* whether the end was evaluated already; new tangents of fields; whether it began with some */
     Secants told;
 } AlphaStep;
 
@@ -290,7 +309,7 @@ static int outworn(const System *s, const double *p, const AlphaStep *k)
 {
     int soon = learning(&k->told) && !s->foretells;
     return k->sizes[k->done - 1] < INFINITY && k->renewals < RENEWALS && !soon
-           && worth_tangents(s, p, k->sizes[0], k->done, k->left);
+           && worth_tangents(s, p, k->sizes[0], k->done, k->ahead, k->left);
 }
 
 /* New tangents of fields, where the newest increment led. */
@@ -311,13 +330,13 @@ static int renew_tangents(System *s, double *p, AlphaStep *k)
     return prepare(s, s->q, k->damp, k->scale, out.lam, 0, k->t);
 }
 
-/* New tangents of fields where the step is predicted, while steps take some. */
+/* New tangents of fields where the step is predicted, while those of a step do not serve the next one. */
 static int begin_anew(System *s, double *p, AlphaStep *k)
 {
     const Block out = k->out;
     int verdict;
-    if (!s->begins || !s->renewals || k->touching) return DONE;
-    k->renewals = 1;
+    if (!s->begins || p[BEGIN_ANEW] == 0.0 || k->touching) return DONE;
+    k->renewals = k->ahead = 1;
     k->evaluated = 1;
     follow(s, p, k);
     if ((verdict = evaluate(s, out.q, out.v, out.a, out.lam, k->t))) return verdict;
@@ -448,6 +467,7 @@ static int alpha_step(System *s, double *p, double *free_room, const Block *past
 
     p[LEFT] += k.left;
     s->renewals = k.renewals;
+    settle(p, k.done, k.renewals);
     hold(s, p, &k);
     const double h = p[H], to_A = 1.0 / (p[GAMMA] * h);
     const Persisting end = {h, k.scale, k.scale / (p[BETA] * h) * p[GAMMA], to_A, (1 - p[AM]) / (1 - p[AF]) * to_A};
