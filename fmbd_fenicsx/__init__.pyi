@@ -167,7 +167,7 @@ from .system.sensors.contact import contact_gap as contact_gap
 from .system.sensors.contact import contact_impulse as contact_impulse
 from .system.sensors.contact import contact_pressure as contact_pressure
 from .system.sensors.contact import contact_work as contact_work
-from .system.sensors.points import largest as largest
+from .system.sensors.quantities import largest as largest
 from .system.sensors.sensors import acceleration as acceleration
 from .system.sensors.sensors import angular_velocity as angular_velocity
 from .system.sensors.sensors import coordinates as coordinates

@@ -10,7 +10,8 @@ from .system.sensors.contact import (
     limit_effort,
 )
 from .system.sensors.elements import element_effort, element_force, element_power, element_torque, elongation, tension
-from .system.sensors.points import elastic_displacement, largest, point_value, strain
+from .system.sensors.points import elastic_displacement, point_value, strain
+from .system.sensors.quantities import integral, largest, mean
 from .system.sensors.rods import section_forces, section_strains
 from .system.sensors.sensors import (
     acceleration,
@@ -44,9 +45,11 @@ __all__ = [
     "element_power",
     "element_torque",
     "elongation",
+    "integral",
     "joint_rate",
     "largest",
     "limit_effort",
+    "mean",
     "point_value",
     "position",
     "reaction",

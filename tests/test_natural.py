@@ -30,6 +30,32 @@ def test_free_and_held() -> None:
     assert body.frequencies(3, held="left") == pytest.approx(fmbd.modes(scene, 3).frequencies, rel=1e-7)
 
 
+@pytest.mark.parametrize("dim", [2, 3])
+def test_bodies_of_modes(dim: int) -> None:
+    """Reduced bodies and beams have the frequencies of a scene that holds their surfaces, free ones those of the field."""
+    if dim == 2:
+        full, section = rod(), fmbd.Section(1e6, 1e2, 50.0, rhoI=1e-2)
+    else:
+        mesh = fmbd.read_gmsh("meshes/block.py", size=(1.0, 0.2, 0.1), counts=(3, 1, 1))
+        full = fmbd.FloatingBody("rod", mesh, density=1e3, elastic=fmbd.materials.linear_elastic(MODULUS, 0.3))
+        section = fmbd.Section.circle(youngs_modulus=MODULUS, poisson_ratio=0.3, density=DENSITY, radius=0.05)
+    few = full.reduced(basis=fmbd.CraigBampton(("left", "right"), 20))
+    assert few.frequencies(2) == pytest.approx(full.frequencies(2), rel=2e-3)
+
+    beam = fmbd.Beam("beam", (0.0,) * dim, (1.0,) + (0.0,) * (dim - 1), section, modes=12)
+    for body, ends in ((few, ("left", "right")), (beam, ("start", "end"))):
+        for held in (ends[:1], ends):
+            scene = fmbd.Scene("held")
+            scene.add(body, *(fmbd.fixed(end, fmbd.ground, body.surface(end)) for end in held))
+            assert body.frequencies(2, held=held) == pytest.approx(fmbd.modes(scene, 2).frequencies, rel=1e-6)
+
+    assert len(full.reduced(modes=2).frequencies(2)) == 2
+    with pytest.raises(InputError, match="3 natural frequencies asked for; its 2 modes have 2"):
+        full.reduced(modes=2).frequencies(3)
+    with pytest.raises(InputError, match='no surface "tip"'):
+        few.frequencies(1, held="tip")
+
+
 def test_bad_input() -> None:
     """Energies, surfaces that are not there, numbers that are none."""
     with pytest.raises(InputError, match=r"linear form.*fmbd\.modes"):

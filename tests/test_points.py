@@ -178,3 +178,79 @@ def test_a_point_of_several_cells_is_in_the_first_of_the_mesh(rod_mesh: Callable
         distance, owner, cell = distance_to(msh, np.array(x))
         found = msh.comm.bcast(int(places[cell]), root=owner)
         assert distance < 1e-9 and found == expected
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("kind", ["field", "modes", "absolute"])
+def test_integrals_and_means_of_materials(kind: str) -> None:
+    """A bar of two materials side by side under a force: their energies are its work, their mean stresses carry it."""
+    from ufl import FacetNormal, dot, grad, inner, sym
+
+    thick, moduli, force = {"steel": 0.1, "rubber": 0.3}, {"steel": 2e8, "rubber": 5e7}, 1e3
+    mesh = fmbd.read_gmsh("meshes/layers.py", volume=tuple(thick), layers=thick, h=0.2)
+
+    def elastic(u: Any, v: Any, dx: Any) -> Any:
+        return sum(E * inner(sym(grad(u)), sym(grad(v))) * dx(mesh.volume_tag(name)) for name, E in moduli.items())
+
+    sort = fmbd.AbsoluteBody if kind == "absolute" else fmbd.FloatingBody
+    bar = sort("bar", mesh, density=1e3, elastic=elastic)
+    if kind == "modes":
+        bar = bar.reduced(basis=fmbd.CraigBampton(("left", "right"), 2))
+    scene = fmbd.Scene("bar")
+    scene.add(bar, fmbd.fixed("clamp", fmbd.ground, bar.surface("left")))
+    scene.add(fmbd.prismatic("rail", fmbd.ground, bar.surface("right"), axis=(1, 0)))
+    scene.add(fmbd.force("pull", bar.surface("right"), lambda t: (force, 0.0)))
+    for name, E in moduli.items():
+        scene.sensor(name, fmbd.sensors.mean(bar, lambda u, E=E: E * sym(grad(u)), over=name))
+        energy = fmbd.sensors.integral(
+            bar, lambda u, E=E: 0.5 * E * inner(sym(grad(u)), sym(grad(u))), over=name, unit="J"
+        )
+        scene.sensor(f"energy of {name}", energy)
+    scene.sensor("area", fmbd.sensors.integral(bar, lambda u: 1.0, unit="m^2"))
+    out = fmbd.sensors.mean(bar, lambda u: dot(u, FacetNormal(mesh.dolfinx)), over="right", unit="m")
+    scene.sensor("out", out)
+    scene.sensor("left", fmbd.sensors.mean(bar, lambda u: u[0], over="left", unit="m"))
+    scene.sensor("end", fmbd.position(bar.surface("right")))
+
+    rest = fmbd.equilibrium(scene)
+    carried = sum(rest[name][0] * thick[name] for name in moduli)
+    assert carried == pytest.approx(force, rel=1e-8)
+    assert abs(rest["steel"]).max() == rest["steel"][0] > 3.0 * rest["rubber"][0]
+    stored = sum(rest[f"energy of {name}"][0] for name in moduli)
+    assert stored == pytest.approx(0.5 * force * (rest["end"][0] - 1.0), rel=1e-8)
+    assert rest["area"] == pytest.approx(0.4, rel=1e-12)
+    assert rest["out"] - rest["left"] == pytest.approx(rest["end"][0] - 1.0, rel=1e-8)
+
+    # many records at once are what each state tells
+    run = fmbd.solve(scene, t_end=2e-3, dt=1e-3)
+    assert run["steel"].shape == (3, 4)
+    system, start, markers = scene.build()
+    assert scene.sensors["steel"].read(system.at(0.0, start.q, start.v), start, markers["steel"]) == pytest.approx(0.0)
+    wrong: tuple[tuple[Any, str], ...] = (
+        (fmbd.sensors.mean(bar, lambda u: 1 / 0), "mean: quantity.*failed: ZeroDivisionError"),
+        (fmbd.sensors.mean(bar, lambda u: "none"), "mean: quantity.*failed: .*can not be converted"),
+        (fmbd.largest(bar, lambda u: grad(u)), r"largest: quantity\(u\) has the shape \(2, 2\)"),
+    )
+    for sensor, why in wrong:
+        scene.sensor("wrong", sensor)
+        with pytest.raises(InputError, match=why):
+            fmbd.solve(scene, t_end=1e-3, dt=1e-3)
+        del scene.sensors["wrong"]
+    with pytest.raises(InputError, match='no surface "stel".* Volumes: rubber, steel'):
+        fmbd.sensors.mean(bar, lambda u: u, over="stel")
+
+
+@pytest.mark.mpi
+def test_the_largest_of_a_body_smaller_than_the_ranks() -> None:
+    """Ranks that hold nothing of it take part: two cells, read with the body by itself and in absolute coordinates."""
+    mesh = fmbd.read_gmsh("meshes/block.py", size=(1.0, 1.0), counts=(1, 1))
+    for kind in (fmbd.FloatingBody, fmbd.AbsoluteBody):
+        block = kind(
+            "block", mesh, density=100.0, elastic=LAW, displacement=lambda x: 1e-3 * np.stack((x[0], 0 * x[0]))
+        )
+        scene = fmbd.Scene("block")
+        scene.add(block)
+        scene.sensor("strain", fmbd.largest(block, lambda u: u[0].dx(0), unit="1"))
+        scene.sensor("mean", fmbd.sensors.mean(block, lambda u: u[0].dx(0), unit="1"))
+        run = fmbd.solve(scene, t_end=1e-6, dt=1e-6)
+        assert run["strain"][0] == pytest.approx(1e-3, rel=1e-9) == run["mean"][0]

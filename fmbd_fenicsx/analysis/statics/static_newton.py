@@ -95,10 +95,14 @@ class StaticNewton:
 
         A thin body by itself is held by its inertia alone: more of it holds what no joint holds.
         """
+        pressures = self.solver.pressures
         while True:
             try:
                 return make()
             except LinearSolveError:
+                self.solver.pressures = (
+                    pressures  # those of an iteration that failed may make blocks singular by themselves
+                )
                 if not self.tau >= self.least:  # what is no number is not above it either
                     raise
                 self.last_at_most(self.tau / 3.0)

@@ -1,4 +1,4 @@
-"""Sensors of elastic bodies: at material points motion, displacement, strain, any UFL quantity of the displacement; its largest.
+"""Sensors of elastic bodies at material points: motion, displacement, strain, any UFL quantity of the displacement.
 
 With the body's frame (r, R), its angular velocity w in body axes and P = X - r_0 + u at the point,
 
@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from ...checks import function, vector
-from ...errors import require
+from ...errors import InputError, require
 from ...fem.material_points import MaterialPoint, check_point, material_point
 from ...mechanics.bodies.bodies import AbsoluteBody, FloatingBody
 from ...mechanics.reduction.craig_bampton import ReducedBody
@@ -193,7 +193,24 @@ class PointQuantity(PointSensor):
         from dolfinx import fem
 
         u = fem.Function(p.space)
-        return u, fem.Expression(self.quantity(u), p.point.reference)
+        return u, fem.Expression(of_displacement("point_value", self.quantity, u), p.point.reference)
+
+
+def of_displacement(what: str, quantity: Callable[[Any], Any], u: Any) -> Any:
+    """quantity(u) as a UFL expression.
+
+    Raises:
+        InputError: it fails, or gives none.
+    """
+    from ufl import as_ufl
+
+    try:
+        return as_ufl(quantity(u))
+    except Exception as error:
+        why = f"{type(error).__name__}: {str(error).rstrip('.')}"
+        raise InputError(
+            f"{what}: quantity(u) failed: {why}. It gives a UFL expression of the displacement u."
+        ) from error
 
 
 def is_elastic(body: Any) -> bool:
@@ -240,53 +257,3 @@ def point_value(body: Any, quantity: Callable[[Any], Any], *, point: Sequence[fl
     """
     body, at = _point("point_value", body, point)
     return PointQuantity(None, unit, None, body, at, function("point_value: quantity", quantity))
-
-
-@dataclass(frozen=True, eq=False)
-class Largest(OfStates, BodySensor):
-    """See :func:`largest`."""
-
-    quantity: Callable[[Any], Any] = None  # type: ignore[assignment]
-    degree: int = 2
-
-    def told(self, system: Layout, q: Array, v: Array, a: Array) -> Array:
-        """The largest value over the body, (.., 1); collective."""
-        key = f"largest {id(self)}"
-        if key not in system.cache:
-            system.cache[key] = self._prepare(system)
-        k, u, expression, cells, basis = system.cache[key]
-        mesh = u.function_space.mesh
-
-        states = q.reshape(-1, q.shape[-1])
-        found = np.full(len(states), -np.inf)
-        for i, one in enumerate(states):
-            local = system.local_q(one, k)
-            nodal = local if basis is None else basis @ local
-            u.x.array[: len(nodal)] = nodal
-            u.x.scatter_forward()
-            if len(cells):
-                found[i] = expression.eval(mesh, cells).max()
-        return np.asarray(np.max(mesh.comm.allgather(found), axis=0)).reshape(*q.shape[:-1], 1)
-
-    def _prepare(self, system: Layout) -> tuple[Any, ...]:
-        import basix
-        from dolfinx import fem
-
-        k, part = system.part(self.body.name)
-        modes = part.body.reduction if isinstance(self.body, ReducedBody) else None
-        space = part.field.space if modes is None else modes.space
-        u = fem.Function(space)
-        points, _ = basix.make_quadrature(space.mesh.basix_cell(), self.degree)
-        expression = fem.Expression(self.quantity(u), points)
-        cells = np.arange(space.mesh.topology.index_map(space.mesh.topology.dim).size_local, dtype=np.int32)
-        return k, u, expression, cells, None if modes is None else modes.phi
-
-
-def largest(body: Any, quantity: Callable[[Any], Any], *, unit: str = "Pa", degree: int = 2) -> Sensor:
-    """Largest value over an elastic body of a scalar quantity(u) in UFL, u the displacement in the body's axes.
-
-    Taken at the points of a quadrature rule of the given degree in each cell. Say the Mises stress:
-    ``scene.sensor("stress", fmbd.largest(rod, lambda u: sqrt(...)))``. Collective, each time it is read.
-    """
-    require(is_elastic(body), f"largest(...) reads an elastic body on a mesh, found {body!r}.")
-    return Largest(None, unit, None, body, quantity, degree)
