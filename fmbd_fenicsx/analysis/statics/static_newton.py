@@ -100,9 +100,7 @@ class StaticNewton:
             try:
                 return make()
             except LinearSolveError:
-                self.solver.pressures = (
-                    pressures  # those of an iteration that failed may make blocks singular by themselves
-                )
+                self.solver.pressures = pressures  # of a failed iteration they may make blocks singular by themselves
                 if not self.tau >= self.least:  # what is no number is not above it either
                     raise
                 self.last_at_most(self.tau / 3.0)

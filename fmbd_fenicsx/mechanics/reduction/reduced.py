@@ -117,14 +117,21 @@ class ModalBody(Body):
         """What follows from the constants of all of them."""
         derive([body.constants for body in bodies])
 
+    def surface(self, name: str) -> Any:
+        """The named surface of the body."""
+        raise NotImplementedError
+
     def frequencies(self, n: int, *, held: str | Sequence[str] = ()) -> Array:
         """The first n natural frequencies (Hz) of this body alone, by its modes, ascending; collective.
 
         Without ``held`` the body is free and its rigid motions are left out; a held surface keeps its mean position and rotation.
         """
-        from .natural import modal_frequencies
+        from .modal_frequencies import modal_frequencies
 
-        return modal_frequencies(self, n, [held] if isinstance(held, str) else held)
+        surfaces = [held] if isinstance(held, str) else held
+        for name in surfaces:
+            self.surface(name)
+        return modal_frequencies(reduced_part(self, 0, surfaces), n)
 
     def placed(self, site: Site) -> Placed:
         """Its modes as a part on its frame."""

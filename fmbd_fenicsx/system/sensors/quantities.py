@@ -98,7 +98,7 @@ class Largest(WholeBody):
 
 
 @dataclass(frozen=True, eq=False)
-class Integral(WholeBody):
+class IntegralSensor(WholeBody):
     """See :func:`integral`; ``over``: name of a volume or a surface, None: the body; ``mean``: over the measure of that."""
 
     over: str | None = None
@@ -152,7 +152,7 @@ def integral(body: Any, quantity: Callable[[Any], Any], *, over: str | None = No
     Raises:
         InputError: no elastic body, or neither volume nor surface of that name.
     """
-    return Integral(None, unit, None, *_given("integral", body, quantity, over), over)
+    return IntegralSensor(None, unit, None, *_given("integral", body, quantity, over), over)
 
 
 def mean(body: Any, quantity: Callable[[Any], Any], *, over: str | None = None, unit: str = "Pa") -> Sensor:
@@ -160,7 +160,7 @@ def mean(body: Any, quantity: Callable[[Any], Any], *, over: str | None = None, 
 
     Say the mean stress of a material: ``scene.sensor("steel", fmbd.sensors.mean(rod, sigma, over="steel"))``.
     """
-    return Integral(None, unit, None, *_given("mean", body, quantity, over), over, True)
+    return IntegralSensor(None, unit, None, *_given("mean", body, quantity, over), over, True)
 
 
 def _given(what: str, body: Any, quantity: Any, over: str | None = None) -> tuple[Any, Callable[[Any], Any]]:
