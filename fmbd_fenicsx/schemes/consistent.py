@@ -14,7 +14,7 @@ import numpy as np
 
 from ..errors import ConstraintError, ConvergenceError, LinearSolveError
 from ..linear.blocks.field_blocks import Weights
-from ..linear.blocks.incompressibility import VolumeMass, kept_volumes
+from ..linear.blocks.incompressibility import VolumeMass, kept_volumes, take_law_pressures
 from ..linear.condensation import StepSolver
 from ..linear.redundancy import least
 from ..linear.residual import NOTHING
@@ -258,6 +258,21 @@ def _renew_pressures(ev: Evaluation, a: Array, lam: Array, solver: StepSolver) -
         field.pressure_values = field.pressure_values - volume.both(r[at], np.zeros(field.n_pressure))[1]
 
 
+def take_pressures(system: System, state: State, solver: StepSolver) -> None:
+    """Give bodies whose pressure is an unknown the one that belongs to a state's accelerations and multipliers, or, below
+    nu = 1/2, that of their law; collective.
+    """
+    take_law_pressures(system, state.q)
+    kept = [k for k, part in system.fields if part.field.keeps_volume]
+    if not kept:
+        return
+    ev = system.at(state.t, state.q, state.v)
+    ev.take_tangents(kept)
+    solver.prepare(ev, MASS)
+    for _ in range(2):  # once more for its roundoff
+        _renew_pressures(ev, state.a, state.lam, solver)
+
+
 def _roundoff(system: System, ev: Any, solved: tuple[Array, Array], solver: StepSolver) -> float:
     """What positions that are wrong by roundoff change in accelerations, as a length over s^2: forces that cancel in an
     elastic body at rest leave no less, however small the accelerations are; collective.
@@ -280,8 +295,7 @@ def keep_volumes(system: System, state: State) -> State:
         field: Any = part.field
         if field.keeps_volume:
             _keep_volume(system, k, State(state.t, q, v, state.a, state.lam), state)
-        elif field.carried:
-            field.pressure_values = field.constitutive_pressure(system.local_q(q, k))
+    take_law_pressures(system, q)
     return replace(state, q=q, v=v)
 
 

@@ -13,7 +13,7 @@ its w: wheels, rotors. The residual r of the balance, linear in a, then gives
 
     M y'' + C y' + K y + G^T lambda = f,     G y = 0                                                          (2)
 
-by central differences of fourth order along y: stress, reactions, weights, spins and springs stiffen as in the equations. Rows on
+by central differences of fourth order along y, in which carried pressures follow the volume by their law: stress, reactions, weights, spins and springs stiffen as in the equations. Rows on
 velocities (rolling) are G_s y' + P y = 0 instead. Contacts that are closed are further rows of G, see :mod:`.closed_contacts`.
 """
 
@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ...linear.blocks.incompressibility import take_law_pressures
 from ...rotations import Array
 from ...system.evaluation import Evaluation
 from ...system.layout import State
@@ -137,8 +138,10 @@ class Perturbation:
             # closed contacts push as before, turned with their surfaces
             e = side * h
             q = s.q if y is None else self.system.compose(s.q, e * y)
+            take_law_pressures(self.system, q)
             ev = self.system.at(s.t, q, s.v + e * v)
             total += weight * (ev.balance(s.a + e * a, s.lam) - (self._pushed(q) if y is not None else 0.0))
+        take_law_pressures(self.system, s.q)
         return total / (12.0 * h)
 
     def _differences(self, sizes: Array, moved: tuple[Array | None, Array, Array]) -> Array:

@@ -23,7 +23,7 @@ from ...log import log
 from ...mechanics.elastic.modes import squares_of_frequencies
 from ...ranks import rank_sum
 from ...rotations import Array
-from ...schemes.consistent import consistent
+from ...schemes.consistent import consistent, take_pressures
 from ...system.layout import State
 from ...system.mobility import tell_of_modes
 from ...system.own_state import refuse_other_state
@@ -253,6 +253,8 @@ def _about(scene: Scene, at: Any, built: tuple[System, State], solver: StepSolve
         remember(system, given if state is None else state, at, relaxed=isinstance(at, Equilibrium))
     if state is None:
         state, _ = consistent(system, given, solver)
+    else:
+        take_pressures(system, state, solver)
     if closed is not None:
         state = without_forces(state)
     spin = at.spin if isinstance(at, Equilibrium) else None

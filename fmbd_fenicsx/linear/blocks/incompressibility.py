@@ -114,3 +114,11 @@ def move_pressures(solver: Any, dq: Array, gaps: dict[int, Array]) -> None:
     for i, (k, f) in enumerate(s.fields):
         if k in gaps:
             f.field.move_pressure(rotate_nodal(s.local_v(dq, k), solver.corotations[i], back=True), gaps[k])
+
+
+def take_law_pressures(system: Any, q: Array) -> None:
+    """Give bodies that carry a pressure below nu = 1/2 that of their law in a configuration; those at 1/2 keep theirs. Collective."""
+    for k, part in system.fields:
+        field = part.field
+        if field.carried and not field.keeps_volume:
+            field.pressure_values = field.constitutive_pressure(system.local_q(q, k))
