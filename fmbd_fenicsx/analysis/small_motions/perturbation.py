@@ -13,8 +13,9 @@ its w: wheels, rotors. The residual r of the balance, linear in a, then gives
 
     M y'' + C y' + K y + G^T lambda = f,     G y = 0                                                          (2)
 
-by central differences of fourth order along y, in which carried pressures follow the volume by their law: stress, reactions, weights, spins and springs stiffen as in the equations. Rows on
-velocities (rolling) are G_s y' + P y = 0 instead. Contacts that are closed are further rows of G, see :mod:`.closed_contacts`.
+by central differences of fourth order along y: stress, reactions, weights, spins and springs stiffen as in the equations, and
+pressures that bodies carry follow their volumes. Rows on velocities (rolling) are G_s y' + P y = 0 instead. Contacts that are
+closed are further rows of G, see :mod:`.closed_contacts`.
 """
 
 from __future__ import annotations

@@ -117,7 +117,7 @@ def move_pressures(solver: Any, dq: Array, gaps: dict[int, Array]) -> None:
 
 
 def take_law_pressures(system: Any, q: Array) -> None:
-    """Give bodies that carry a pressure below nu = 1/2 that of their law in a configuration; those at 1/2 keep theirs. Collective."""
+    """Give bodies that carry a pressure below nu = 1/2 that of their law at q; those at 1/2 keep theirs. Collective."""
     for k, part in system.fields:
         field = part.field
         if field.carried and not field.keeps_volume:
