@@ -23,6 +23,8 @@ from .static_newton import StaticNewton, StaticPoint
 SHARP = 0.5  # way aside of the tangent, over that along it, beyond which another branch was met
 JUMP = 0.5  # way beside the mean of the tangents at both ends of a step, over its length, beyond which it has jumped to one
 NOTHING = 1e-6  # of a step: motion that is none
+LEVEL = 1e-8  # of the span: error of the parameter at a limit point
+MOST_LOOKS = 20  # for one
 SHORT = 1e-2  # share of the largest step below which it is a corner of the path
 
 
@@ -33,36 +35,28 @@ Direction = tuple[Array, float]  # of (1): an increment of q and one of the load
 class Path:
     """Points of a path. ``parameter`` (n,): the scene's time at each; ``series``: sensor -> (n, size).
 
-    ``limits``: numbers of the points after which the load parameter turns back.
+    ``limits``: numbers of the points, themselves limit points, after which the load parameter turns back.
     """
 
     parameter: list[float] = field(default_factory=list)
     points: list[StaticPoint] = field(default_factory=list)
     series: dict[str, Array] = field(default_factory=dict)
-    distance: list[float] = field(default_factory=lambda: [0.0])  # along the path
 
-    def add(self, parameter: float, point: StaticPoint, length: float = 0.0) -> None:
-        """Take one more point, ``length`` beyond the last one along the path."""
+    def add(self, parameter: float, point: StaticPoint) -> None:
+        """Take one more point."""
         self.points.append(point)
         self.parameter.append(parameter)
-        self.distance.append(self.distance[-1] + length)
 
     @property
     def limits(self) -> list[int]:
-        """Numbers of the points nearest to limit points."""
+        """Numbers of the limit points."""
         rise = np.sign(np.diff(self.parameter))
         return [int(i) + 1 for i in np.flatnonzero(rise[1:] * rise[:-1] < 0)]
 
     @property
     def limit_parameters(self) -> list[float]:
-        """Load parameters of the limit points, by the parabola through the three points about each."""
-        found = []
-        for i in self.limits:
-            s = np.array(self.distance[i - 1 : i + 2])
-            p = np.array(self.parameter[i - 1 : i + 2])
-            a, b, c = np.polyfit(s - s[1], p, 2)
-            found.append(float(c - b * b / (4.0 * a)))
-        return found
+        """Load parameters of the limit points."""
+        return [self.parameter[i] for i in self.limits]
 
 
 @dataclass(frozen=True)
@@ -112,7 +106,11 @@ class ArcLength:
                     if length < 1e-5 * self.step:
                         raise ConvergenceError(f"The path of equilibria ends at t = {now:g} s: {error}") from error
 
-            path.add(then, made, length)
+            if tangent[1] * after[1] < 0:
+                limit = _limit_point(newton, (point, now), tangent, span, (length, after[1]))
+                if limit is not None:
+                    path.add(*limit)
+            path.add(then, made)
             tangent = after
             # few iterations: the path is nearly straight here
             length = min(self.step, length * (1.5 if count <= 4 else 0.7 if count > 7 else 1.0))
@@ -176,6 +174,29 @@ def _step(
         if size <= 1e-9 * system.length and abs(ds) < 1e-9:
             return StaticPoint(system.compose(first.q, xi), lam), t0 + span * s, count + 1, (xi, s)
     raise ConvergenceError("a step along the path did not converge")
+
+
+def _limit_point(
+    newton: StaticNewton, start: tuple[StaticPoint, float], tangent: Direction, span: float, end: tuple[float, float]
+) -> tuple[float, StaticPoint] | None:
+    """Where along a step the load parameter turns back, e = 0 of (1), by regula falsi: parameter and point; None where
+    tangents close to it are singular to roundoff. ``end``: the length of the step, and e there.
+    """
+    found, low, high = None, (0.0, tangent[1]), end
+    for _ in range(MOST_LOOKS):
+        length = (low[0] * high[1] - high[0] * low[1]) / (high[1] - low[1])
+        try:
+            point, t, *_ = newton.solvable(partial(_step, newton, start, tangent, span, length))
+            e = newton.solvable(partial(_tangent, newton, point, t, span, tangent))[1]
+        except (ConvergenceError, LinearSolveError):
+            break
+        found = t, point
+        # of the parabola on which t lies nearly
+        if e * e * end[0] <= 2.0 * LEVEL * abs(end[1] - tangent[1]):
+            break
+        # of the end that stays a second time half counts (Illinois)
+        low, high = (high, (length, e)) if e * high[1] < 0 else ((low[0], 0.5 * low[1]), (length, e))
+    return found
 
 
 def _astray(newton: StaticNewton, way: Direction, tangents: tuple[Direction, Direction], length: float) -> bool:

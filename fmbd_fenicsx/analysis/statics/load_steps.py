@@ -66,7 +66,8 @@ class LoadSteps:
                     step = 0.5 * (target - made[-1][0])
                     if step < SHORTEST * (self.first or stop):
                         raise ConvergenceError(
-                            f"No equilibrium was found beyond t = {made[-1][0]:g} s: {error}"
+                            f"No equilibrium was found beyond t = {made[-1][0]:g} s: {error}. Where the loads have their "
+                            f"limit, path=fmbd.ArcLength({self.stops[-1]:g}) goes on."
                         ) from error
                     continue
 
