@@ -241,6 +241,7 @@ class Encounters(PairTables):
             return
         self._room, d, core = (rows, columns), self.tables.dim, self.tables.system.n_core
         sizes = {"rows": 2 * (d + self.tables.twist), "direction": d, "axes": 2 * d}
+        sizes |= {"slopes": sizes["rows"], "sensed": sizes["axes"]}
         sizes |= dict.fromkeys(("start", "change", "stopped", "rates"), 1) | dict.fromkeys(("push", "answer"), core)
         for name, size in (sizes | dict.fromkeys(("seen", "acting"), columns)).items():
             setattr(self.structure, name, self._zeros(name, rows * size))

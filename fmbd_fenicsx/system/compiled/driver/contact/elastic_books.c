@@ -30,6 +30,7 @@ typedef struct ElasticContact {
     int matrix, increments, iterations; /* have turned in the step; whether its W is known; increments of an iteration */
     double known_scale;                /* of the W known, 0 for none */
     double *factored;                  /* nq: the configuration of the matrix */
+    double *slopes, *sensed;           /* how openings change: as rows, and these at nodes in the axes of factors, like ``axes`` */
     double *rows, *direction, *axes, *start, *change, *stopped, *rates; /* of those near, components each: WIDE; D; 2 D; 1 .. */
     double *push, *seen, *answer, *acting; /* core; columns; core; columns */
     double *reply;                     /* D of each node touched */

@@ -148,7 +148,7 @@ static int find_openings(ElasticContact *o, const Contacting *k, const Touch *at
 
         for (int a = 0; a < d; a++) {
             const double *row = o->rows + WIDE * (d * j + a);
-            P->u[d * j + a] = row_times(o, i, row, x) + (a ? row_times(o, i, row, k->xi) - drift[a] : end->gap[i]);
+            P->u[d * j + a] = row_times(o, i, o->slopes + WIDE * (d * j + a), x) + (a ? row_times(o, i, row, k->xi) - drift[a] : end->gap[i]);
         }
         P->mu[j] = c->pair[c->of[i]].friction;
     }
@@ -223,7 +223,7 @@ int contact_increment(System *s, ElasticContact *o, const Contacting *k, double 
     int verdict, changed = 0;
     if (look_at_points(o, k->q, k->t, &c->aside)) return FAILED;
     if (k->end != k->q && look_at_points(o, k->end, k->end_t, end = &c->end)) return FAILED;
-    elastic_rows(o, k->q, &c->aside);
+    elastic_rows(o, k, &c->aside);
 
     /* the increment without a change of the contact forces */
     if ((verdict = solve_so_far(s, o, k, x, y))) return verdict;

@@ -50,10 +50,38 @@ static void rows_of_side(const ElasticContact *o, int i, int side, const double 
     }
 }
 
-/* Rows of those near, at a configuration where they touch like this. */
-static void elastic_rows(ElasticContact *o, const double *q, const Touch *at)
+/* What one side of candidate i adds to the slopes of its slips: a body that has turned by d and whose nodes have moved by u, in its axes,
+   moves them in a step of the increment xi by d x w + W x u more, with its turn W and the way w of the mean beside that of its frame. */
+static void slopes_of_side(const ElasticContact *o, int i, int side, const Contacting *by, const Touch *at, const double *row, double *slope)
+{
+    const int b = o->contacts->on[2 * i + side];
+    const double *pose = by->q + POSE * b, *turn = by->xi + TWIST * b + D;
+    const Side k = side_of(o, i, side);
+    double R[D * D], way[D], arm[D], w[D], turning[ROT], mean[D];
+    if (!k.points || rests(k.body)) return;
+    const Mean of = mean_of(o->contacts, i, side);
+    const double weight = mean_place(&of, at->x, mean);
+
+    rotation(pose, R);
+    for (int j = 0; j < D; j++) way[j] = mean[j] - weight * pose[j];
+    transposed(R, way, arm);
+    spin(turn, arm, w);
+    for (int n = 0; n < k.count; n++) add(w, k.weight[n], by->xi + node_at(&k, n), D);
+
+    for (int a = 1; a < o->contacts->components; a++) {
+        const double *e = row + WIDE * a + D * side;
+        spin(turn, e, way);
+        add(slope + WIDE * a + D * side, -o->share, way, D);
+        moment(w, e, turning);
+        add(slope + WIDE * a + 2 * D + TWIST * side + D, o->share, turning, ROT);
+    }
+}
+
+/* Rows of those near, at the configuration of an iterate where they touch like this, and how their openings change with it. */
+static void elastic_rows(ElasticContact *o, const Contacting *by, const Touch *at)
 {
     const int d = o->contacts->components;
+    const double *q = by->q;
     for (int k = 0; k < o->count; k++) {
         const int i = o->near[k];
         double e[D * D], *row = o->rows + WIDE * d * k, *before = o->direction + D * d * k;
@@ -65,6 +93,10 @@ static void elastic_rows(ElasticContact *o, const double *q, const Touch *at)
         memset(row, 0, d * WIDE * sizeof(double));
         for (int side = 0; side < 2; side++)
             if (o->contacts->on[2 * i + side] >= 0) rows_of_side(o, i, side, q, at, e, row);
+
+        double *slope = o->slopes + WIDE * d * k;
+        memcpy(slope, row, d * WIDE * sizeof(double));
+        for (int side = 0; side < 2; side++) slopes_of_side(o, i, side, by, at, row, slope);
     }
 }
 
@@ -108,7 +140,7 @@ static int pushed(System *s, const ElasticContact *o, double scale, const double
 /* ---- how contacts answer: (1) and (2) of linear/complementarity/delassus.py ---- */
 
 /* Rows at nodes in the axes of the factors of their fields, into ``axes``; whether they are what they were. */
-static int turn_rows(ElasticContact *o)
+static int turn_rows(const ElasticContact *o, const double *rows, double *axes)
 {
     const Contacts *c = o->contacts;
     const int d = c->components;
@@ -117,16 +149,16 @@ static int turn_rows(ElasticContact *o)
         const Side k = side_of(o, o->near[r / 2 / d], r % 2);
         double y[D];
 
-        memcpy(y, o->rows + WIDE * (r / 2) + D * (r % 2), sizeof y);
-        if (k.count && k.body->field->turns) transposed(k.body->field->T, o->rows + WIDE * (r / 2) + D * (r % 2), y);
-        same = same && !memcmp(y, o->axes + D * r, sizeof y);
-        memcpy(o->axes + D * r, y, sizeof y);
+        memcpy(y, rows + WIDE * (r / 2) + D * (r % 2), sizeof y);
+        if (k.count && k.body->field->turns) transposed(k.body->field->T, rows + WIDE * (r / 2) + D * (r % 2), y);
+        same = same && !memcmp(y, axes + D * r, sizeof y);
+        memcpy(axes + D * r, y, sizeof y);
     }
     return same;
 }
 
-/* What the core does under forces on all rows. */
-static int ask_core(System *s, ElasticContact *o)
+/* Rows, whose parts at nodes are in ``axes``, as the core sees them. */
+static void on_core(const System *s, const ElasticContact *o, const double *rows, const double *axes)
 {
     const Contacts *c = o->contacts;
     const int d = c->components, n = d * o->count;
@@ -136,15 +168,23 @@ static int ask_core(System *s, ElasticContact *o)
     for (int r = 0; r < 2 * n; r++) {
         const int i = o->near[r / 2 / d], side = r % 2, on = c->on[2 * i + side];
         const Side k = side_of(o, i, side);
-        if (on >= 0) add(o->push + (long)s->core * (r / 2) + TWIST * on, 1.0, o->rows + WIDE * (r / 2) + 2 * D + TWIST * side, TWIST);
+        if (on >= 0) add(o->push + (long)s->core * (r / 2) + TWIST * on, 1.0, rows + WIDE * (r / 2) + 2 * D + TWIST * side, TWIST);
         for (int e = 0; e < k.count && k.nodes->columns; e++)
             for (int j = 0; j < D; j++)
-                add(o->seen + (long)o->columns * (r / 2) + k.nodes->at, k.weight[e] * o->axes[D * r + j],
+                add(o->seen + (long)o->columns * (r / 2) + k.nodes->at, k.weight[e] * axes[D * r + j],
                     k.nodes->Y + (long)k.nodes->columns * (D * number_of(&k, e) + j), k.nodes->columns);
     }
+}
 
+/* What the core does under forces on all rows, and then how openings see it. */
+static int ask_core(System *s, ElasticContact *o)
+{
+    const int n = o->contacts->components * o->count;
+    on_core(s, o, o->rows, o->axes);
     memset(o->room, 0, s->nv * sizeof(double));
-    return driver_columns(s, n, o->columns, o->factored, o->room, o->push, o->seen, o->answer, o->acting);
+    const int verdict = driver_columns(s, n, o->columns, o->factored, o->room, o->push, o->seen, o->answer, o->acting);
+    on_core(s, o, o->slopes, o->sensed);
+    return verdict;
 }
 
 /* How the nodes touched answer to forces on the rows of the i-th candidate near, row by row; C is symmetric. */
@@ -165,7 +205,7 @@ static void ask_fields(const ElasticContact *o, int i)
     }
 }
 
-/* How the rows of the i-th move then, (components x components). */
+/* How the openings of the i-th change then, (components x components). */
 static void answers_on(const ElasticContact *o, int i, double *w)
 {
     const int d = o->contacts->components, touched = o->nodes[o->traces - 1].end;
@@ -176,7 +216,7 @@ static void answers_on(const ElasticContact *o, int i, double *w)
             const double *reply = o->reply + D * o->place[k.nodes->first + number_of(&k, e)];
             for (int a = 0; a < d; a++)
                 for (int b = 0; b < d; b++)
-                    w[d * a + b] += k.weight[e] * dot(o->axes + D * (2 * (d * i + a) + side), reply + D * b * touched, D);
+                    w[d * a + b] += k.weight[e] * dot(o->sensed + D * (2 * (d * i + a) + side), reply + D * b * touched, D);
         }
     }
 }
@@ -189,12 +229,12 @@ static double *block_of(const Problem *P, int d, int i, int j)
 
 static void take_lumped(const ElasticContact *o, double scale);
 
-/* How the rows of the i-th move under forces on those of the j-th, of which the nodes touched have answered, into both blocks of W. */
+/* How the openings of the i-th change under forces on the rows of the j-th, of which the nodes touched have answered, into W. */
 static void couple_rows(const System *s, const ElasticContact *o, double scale, int i, int j)
 {
     const int d = o->contacts->components;
     const Problem *P = &o->problem->all;
-    double w[D * D], *block = block_of(P, d, i, j), *across = block_of(P, d, j, i);
+    double w[D * D], *block = block_of(P, d, i, j);
     answers_on(o, i, w);
 
     for (int a = 0; a < d; a++)
@@ -205,21 +245,17 @@ static void couple_rows(const System *s, const ElasticContact *o, double scale, 
                 part -= dot(o->seen + o->columns * r, o->acting + o->columns * l, o->columns);
                 part += dot(o->push + s->core * r, o->answer + s->core * l, s->core);
             }
-            block[d * a + b] += 0.5 * scale * part;
-            across[d * b + a] += 0.5 * scale * part;
+            block[d * a + b] = scale * part;
         }
 }
 
 /* W of bodies whose nodes are coupled. */
 static int take_coupled(System *s, ElasticContact *o, double scale)
 {
-    const int d = o->contacts->components, m = o->count;
-    const Problem *P = &o->problem->all;
+    const int m = o->count;
     int verdict;
     if (o->coupled && (verdict = ask_core(s, o))) return verdict;
 
-    memset(P->own, 0, (long)m * d * d * sizeof(double));
-    memset(P->W, 0, (long)m * (m - 1) * d * d * sizeof(double));
     for (int j = 0; j < m; j++) {
         ask_fields(o, j);
         for (int i = 0; i < m; i++) couple_rows(s, o, scale, i, j);
@@ -227,11 +263,12 @@ static int take_coupled(System *s, ElasticContact *o, double scale)
     return DONE;
 }
 
-/* W, for forces that a solution weights by ``scale``: symmetric but for roundoff. */
+/* W, for forces that a solution weights by ``scale``. */
 static int take_compliance(System *s, ElasticContact *o, double scale)
 {
     const Problem *P = &o->problem->all;
-    int verdict, same = turn_rows(o) && (P->lumped || !o->coupled) && o->known_scale == scale;
+    const int turned = !turn_rows(o, o->rows, o->axes) | !turn_rows(o, o->slopes, o->sensed);
+    int verdict, same = !turned && (P->lumped || !o->coupled) && o->known_scale == scale;
     o->matrix = 1;
     if (same) return DONE;
 

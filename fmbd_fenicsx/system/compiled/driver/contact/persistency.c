@@ -40,6 +40,7 @@ static int stop_closed(System *s, ElasticContact *o, const Persisting *at, const
 
     memset(P->f, 0, d * m * sizeof(double));
     if (!*any) return DONE;
+    memcpy(o->slopes, o->rows, d * m * WIDE * sizeof(double)); /* of velocities */
     if ((verdict = take_compliance(s, o, at->scale))) return verdict;
 
     for (int k = 0; k < m; k++) {

@@ -18,7 +18,7 @@ static void answered_by(const void *by, const double *f, double *u)
 
     o->problem->tally.products++;
     const int failed = pushed(s, o, l->scale, f, x, NULL);
-    for (int r = 0; r < d * o->count; r++) u[r] = failed ? NAN : l->still[r / d] ? 0.0 : row_times(o, o->near[r / d], o->rows + WIDE * r, x);
+    for (int r = 0; r < d * o->count; r++) u[r] = failed ? NAN : l->still[r / d] ? 0.0 : row_times(o, o->near[r / d], o->slopes + WIDE * r, x);
 }
 
 /* The block of E between two nodes of a trace; NULL for none. */
