@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from profiled import calls_of
 from test_checkpoint import at_every_step
-from test_contact import BLOCK
+from test_contact import BLOCK, ROOT
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.schemes.impacts.elastic_contact_stepper import ElasticContactStepper
@@ -240,6 +240,28 @@ def test_many_candidates_stay_compiled(
     np.testing.assert_allclose(found.state.q, alone.state.q, rtol=0, atol=1e-10)
     impulse = alone.state.contact.impulse
     np.testing.assert_allclose(found.state.contact.impulse, impulse, rtol=0, atol=1e-9 * np.abs(impulse).max())
+
+
+@pytest.mark.parametrize(("scheme", "most"), [(fmbd.ContactMidpoint(theta=1.0), 2.1), (SCHEMES[2], 3.1)], ids=str)
+def test_wheels_roll_in_few_iterations(scheme: Any, most: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Slips change with the place of their points, by what turns in a step: without that one increment more is needed in each."""
+    v, load, width = 0.01, 4e-4, 0.02
+    mesh = fmbd.read_gmsh(ROOT / "meshes/wheel.py", h=width / 4, depth=2 * width, coarse=0.3, start=-1.61, end=-1.45)
+    elastic, rolls = fmbd.materials.linear_elastic(1.0, 0.45), {"velocity": (v, 0.0), "angular_velocity": -v}
+    wheel = fmbd.FloatingBody("wheel", mesh, degree=1, density=0.01, elastic=elastic, **rolls)
+    scene = fmbd.Scene("rolling")
+    scene.add(wheel, fmbd.contact("road", wheel.surface("tread"), fmbd.HalfSpace((0, -1), (0, 1)), friction=0.3))
+    scene.add(fmbd.force("load", wheel.surface("hub"), lambda t: (0.0, -load * np.sin(np.pi * t / 8) ** 2)))
+    scene.sensor("force", fmbd.contact_force("road"))
+    scene.sensor("speed", fmbd.velocity(wheel.surface("tread")))
+    steps: dict[str, Any] = {"t_end": 5.0, "dt": 0.25, "scheme": scheme}
+    found = fmbd.solve(scene, **steps)
+    monkeypatch.setattr(ElasticContactStepper, "marches", False)
+    alone = fmbd.solve(scene, **steps)
+    assert found.counters["compiled_steps"] == 20
+    assert found.counters["contact_newton_iterations"] < most * found.counters["contact_steps"]
+    for name in ("force", "speed"):
+        np.testing.assert_allclose(found[name], alone[name], rtol=0.0, atol=1e-7 * np.abs(alone[name]).max())
 
 
 @pytest.mark.parametrize("scheme", SCHEMES[::2], ids=lambda s: s.name)
