@@ -137,6 +137,7 @@ class Part(Protocol):
 
     def given(self, motion: FrameMotion, local: tuple[Array, Array]) -> dict[str, float] | None:
         """Power (W) of its loads, its damping and so on, by kind; None where they cannot be told apart. Collective."""
+        return None
 
     def mass_blocks(self, motion: FrameMotion, u: Array) -> tuple[Array, Array, Array]:
         """Mass blocks (frame, frame), (local, frame), (local, local); the last two for replicated parts only."""

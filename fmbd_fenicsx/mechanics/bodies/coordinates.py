@@ -223,10 +223,6 @@ class CoordinatePart(Part):
         told = [(self._force(x.copy(), y.copy(), now), now) for x, y, now in zip(q, v, t, strict=True)]
         return np.array([self._finite(what, f, shape, now) for f, now in told])
 
-    def given(self, motion: FrameMotion, local: tuple[Array, Array]) -> dict[str, float] | None:
-        """None: forces of the user are one sum."""
-        return None
-
     def mass_blocks(self, motion: FrameMotion, u: Array) -> tuple[Array, Array, Array]:
         """M(q)."""
         n = len(motion.twist)

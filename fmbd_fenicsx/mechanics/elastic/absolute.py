@@ -102,11 +102,6 @@ class AbsoluteField(FieldPart):
         return polar_rotation(F[None])[0]
 
     @property
-    def tangent_version(self) -> int:
-        """Number of tangents taken so far."""
-        return self.field.tangents
-
-    @property
     def renewable(self) -> bool:
         """Whether it takes new tangents."""
         return self.field.nonlinear

@@ -160,9 +160,10 @@ class FieldPart(DistributedPart):
         """The tangent that the part had when it was made; collective."""
         raise NotImplementedError
 
-    def given(self, motion: FrameMotion, local: tuple[Array, Array]) -> dict[str, float] | None:
-        """None: the kind of placement knows how its loads move."""
-        return None
+    @property
+    def tangent_version(self) -> int:
+        """Number of tangents taken so far."""
+        return self.field.tangents
 
     @property
     def damped(self) -> bool:

@@ -198,11 +198,6 @@ class FloatingField(FieldPart):
         """Always: columns of inertia are taken anew."""
         return True
 
-    @property
-    def tangent_version(self) -> int:
-        """Number of tangents taken so far."""
-        return self.field.tangents
-
     def relinearise(
         self, motion: FrameMotion, local: tuple[Array, Array, Array], increment: Approach | None = None
     ) -> bool:

@@ -220,10 +220,6 @@ class CouplingBatch(Batch):
         """g = sum c_k s_k - s(t)."""
         return self._sum([r.values(kin) for r, _, _ in self.terms]) - self.offsets(t)[0]
 
-    def rate(self, kin: Kinematics, t: float) -> Array:
-        """g_t = -s'(t)."""
-        return -self.offsets(t)[1]
-
     def gamma(self, kin: Kinematics, t: float) -> Array:
         """sum c_k gamma_k - s''(t)."""
         return self._sum([r.gamma(kin) for r, _, _ in self.terms]) - self.offsets(t)[2]

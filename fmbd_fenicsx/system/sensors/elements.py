@@ -46,6 +46,10 @@ class _ElementSensor(Sensor):
         """A force element."""
         return {"force": self.element}
 
+    def looks_at(self, system: Layout, marker: int) -> Look:
+        """The element."""
+        return Look(element=self.element)
+
 
 @dataclass(frozen=True, eq=False)
 class ElementScalar(_ElementSensor):
@@ -61,10 +65,6 @@ class ElementScalar(_ElementSensor):
         found = ev.asked(loads, "scalar")
         assert found is not None  # refused when the sensor was made
         return np.asarray(self.sign * found[self.which][at])
-
-    def looks_at(self, system: Layout, marker: int) -> Look:
-        """The element."""
-        return Look(element=self.element)
 
     def series(self, seen: Recorded, marker: int) -> Array:
         """The value, (k, 1)."""
@@ -117,10 +117,6 @@ class ElementPower(_ElementSensor):
         """Sum of wrench times twist over both markers, (1,)."""
         loads, at = find(ev.system, self.element)
         return np.array([power_of(loads, ev)[at].sum()])
-
-    def looks_at(self, system: Layout, marker: int) -> Look:
-        """The element."""
-        return Look(element=self.element)
 
     def series(self, seen: Recorded, marker: int) -> Array:
         """- N s', (k, 1)."""

@@ -45,10 +45,7 @@ static void reach(const System *s, Control *c, double h, const Block *now)
         c->racing[i] = fmax(o->speeds[i], fmax(fabs(now->v[i]), h * fabs(now->a[i])));
     }
 
-    for (Deflection *x = o->deflection; x < o->deflection + o->deforming; x++) {
-        x->reached = fmax(x->size, 1e-2 * o->length);
-        for (int i = 0; i < x->n; i++) x->reached = fmax(x->reached, fabs((x->rms ? x->rms[i] : 1.0) * q[x->at_q + i]));
-    }
+    for (Deflection *x = o->deflection; x < o->deflection + o->deforming; x++) x->reached = deflected(o, x, q);
 }
 
 /* Sum of squares of errors over one tolerance. */

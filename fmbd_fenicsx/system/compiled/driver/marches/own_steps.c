@@ -162,6 +162,14 @@ static int turn_too_far(const System *s, const OwnSteps *c, int count, const dou
     return 0;
 }
 
+/* The largest deformation of a body so far, m, with that of a state. */
+static double deflected(const OwnSteps *c, const Deflection *x, const double *q)
+{
+    double size = fmax(x->size, 1e-2 * c->length);
+    for (int i = 0; i < x->n; i++) size = fmax(size, fabs(q[x->at_q + i]) * (x->rms ? x->rms[i] : 1.0));
+    return size;
+}
+
 /* Sizes so far, with those of a state before a step of this norm, and what errors are multiplied by in the norm. */
 static void take_sizes(const System *s, const OwnSteps *c, const Norm *o, const Block *now)
 {
@@ -185,8 +193,7 @@ static void take_sizes(const System *s, const OwnSteps *c, const Norm *o, const 
     }
 
     for (Deflection *x = c->deflection; x < c->deflection + c->deforming; x++) {
-        x->size = fmax(x->size, 1e-2 * c->length);
-        for (int i = 0; i < x->n; i++) x->size = fmax(x->size, fabs(now->q[x->at_q + i]) * (x->rms ? x->rms[i] : 1.0));
+        x->size = deflected(c, x, now->q);
         for (int i = 0; i < x->n; i++) {
             double place = c->rtol * x->size / (x->rms ? x->rms[i] : 1.0) + c->atol, *w = o->weigh + x->at_v + i;
             w[0] = 1.0 / place;
