@@ -19,6 +19,7 @@ Iserles et al., "Lie-group methods", doi:10.1017/S0962492900002154.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,6 +30,7 @@ from .checks import array
 from .errors import InputError
 
 Array = NDArray[np.floating[Any]]
+Vector = Sequence[float] | Array  # of a user's
 
 NO_ROTATION = 1e-6  # of R^T R - 1
 _SMALL = 1e-2  # below this angle (rad) the tangent operators use their series (error < 1e-17)

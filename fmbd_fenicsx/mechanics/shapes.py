@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from typing import Any, ClassVar
@@ -12,10 +12,8 @@ import numpy as np
 from ..checks import check_fields, number, shown, vector
 from ..errors import CallbackError, floats, named, require
 from ..log import log
-from ..rotations import Array, motions
+from ..rotations import Array, Vector, motions
 from .body import ORIGIN
-
-Vector = Sequence[float] | Array
 
 
 def _unit(v: Vector, what: str) -> Array:

@@ -14,6 +14,7 @@ import numpy as np
 from ..energies import Hooke
 from ..mechanics.forces.forces import Spring
 from ..mechanics.joints.constraints import standstill
+from ..notices import WIDTH
 from ..run.accuracy.orders import expected_orders
 from ..schemes.declared import Declared
 from ..system.scene.scene import Scene
@@ -60,7 +61,6 @@ def short() -> str:
     return ", ".join([f"fmbd_fenicsx {__version__}", f"Python {platform.python_version()}", *loaded])
 
 
-WIDTH = 112
 LABEL = 18
 APART = ("error estimate", "reduction estimate", "space estimate")  # phases behind the run itself
 SHOWN = 4  # sensors or phases listed by name

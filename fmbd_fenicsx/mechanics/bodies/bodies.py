@@ -19,14 +19,13 @@ from ...errors import InputError, require
 from ...fem.density import Density, check_density
 from ...fem.elastic_forms import ElasticForms
 from ...fem.loads import Load
-from ...rotations import Array, motions
+from ...rotations import Array, Vector, motions
 from ..body import FIELDS, ORIGIN, Body, Placed, Site, rigid_twist
 from ..placements import Attached, Chord, MeanAxis, Part
 
 if TYPE_CHECKING:
     from ...fem.traces.stability import OnSurface
 
-Vector = Sequence[float] | Array
 Same = TypeVar("Same", bound="ElasticBody")
 
 

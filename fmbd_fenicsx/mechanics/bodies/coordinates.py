@@ -19,14 +19,12 @@ import numpy as np
 
 from ...checks import array, check_fields, vector
 from ...errors import CallbackError, InputError, floats, named, require
-from ...rotations import Array
+from ...rotations import Array, Vector
 from ..body import EQUATIONS, Body, Placed, Site
 from ..placements import FrameMotion, Part
 from .own_checks import check_constraint, check_force
 from .own_derivatives import UNUSABLE, Slopes, derivative_many, slopes_of
 from .port_constraint import PortConstraint, of_place_and_time
-
-Vector = Sequence[float] | Array
 
 
 def own_constraint(body: Any, part: int) -> PortConstraint:

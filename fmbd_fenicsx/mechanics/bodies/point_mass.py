@@ -7,7 +7,8 @@ from typing import Any, ClassVar
 
 from ...checks import array, number
 from ...errors import InputError
-from .bodies import RigidBody, Vector
+from ...rotations import Vector
+from .bodies import RigidBody
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,8 +17,8 @@ import numpy as np
 
 from ...checks import check_fields, number, whole
 from ...errors import InputError, near, require
-from ...rotations import Array, motions
-from ..bodies.bodies import Surface, Vector
+from ...rotations import Array, Vector, motions
+from ..bodies.bodies import Surface
 from ..body import Body, rigid_twist
 from .curves import Curve, constant_or_along
 from .elements import LineLoad, RodElements

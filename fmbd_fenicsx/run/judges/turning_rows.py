@@ -23,14 +23,13 @@ from scipy.linalg.lapack import dpotrf, dpotrs, dtrtrs
 
 from ...linear.condensation import StepSolver
 from ...log import log
-from ...matrices import dense
+from ...matrices import RANK, dense
 from ...rotations import Array
 from ...system.layout import State
 from ...system.speed_rows import speed_rows
 from ...system.system import System
 
 LARGEST = 150  # replicated coordinates up to which the angle is looked at
-RANK = 1e-9  # singular values of rows below this share of the largest are zero
 
 
 def warn_of_turning_rows(solver: StepSolver, limit: float | None, states: Sequence[State], h: float) -> None:
