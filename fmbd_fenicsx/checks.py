@@ -345,7 +345,8 @@ def _together(begin: str, refusals: list[str]) -> str:
     """One sentence of several that begin alike, with all that would do; else the last of them."""
     if not all(text.startswith(begin) for text in refusals):
         return refusals[-1]
-    wanted = dict.fromkeys(text.removeprefix(begin).removesuffix(".") for text in refusals)
+    asked = dict.fromkeys(text.removeprefix(begin).removesuffix(".") for text in refusals)
+    wanted = [x for x in asked if not any(x in other and x != other for other in asked)]  # no part of another
     return f"{begin}{' or '.join(wanted)}."
 
 

@@ -285,6 +285,8 @@ def test_bad_input() -> None:
         fmbd.linearise(scene, ["guide a"], ["b"])
     with pytest.raises(InputError, match='Unknown output "c"'):
         fmbd.linearise(scene, ["push"], ["c"])
+    with pytest.raises(InputError, match=r"frequency_response: omega \['a'\] must be finite numbers .rad/s."):
+        fmbd.frequency_response(scene, ["push x"], ["b x"], ["a"])
     with pytest.raises(InputError, match="Undamped resonance"):
         fmbd.frequency_response(scene, ["push x"], ["b x"], [fmbd.modes(scene, 1).omega[0]])
     tilted = fmbd.Scene("tilted", gravity=(0.0, -GRAVITY))

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import scipy.linalg as sl
 
-from ...checks import typed
+from ...checks import array, typed
 from ...errors import InputError, near, require
 from ...mechanics.forces.force_elements import ScalarLoads, TimeLoads
 from ...rotations import Array
@@ -63,7 +63,7 @@ class LinearModel:
 
         Raises InputError at an undamped resonance.
         """
-        omega = np.atleast_1d(np.asarray(omega, dtype=float))
+        omega = np.atleast_1d(array("frequency_response: omega", omega, shape="finite numbers (rad/s)"))
         values = np.linalg.eigvals(self.A) if len(self.A) else np.zeros(0)
         out = np.empty((len(omega), len(self.C), self.B.shape[1]), dtype=complex)
         for k, w in enumerate(omega):

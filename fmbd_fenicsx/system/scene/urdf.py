@@ -193,8 +193,11 @@ def read_urdf(file: str | Path, *, start: Mapping[str, float] | None = None) -> 
         ElementTree.parse(path)
     except ElementTree.ParseError as error:
         raise InputError(f"read_urdf: {path} is no complete XML file: {error}.") from None
-    # pictures are not read: only what moves
-    model = URDF.load(str(path), load_meshes=False, build_scene_graph=False).robot
+    try:
+        # pictures are not read: only what moves
+        model = URDF.load(str(path), load_meshes=False, build_scene_graph=False).robot
+    except Exception as error:  # its parser raises whatever an attribute or number that is missing or wrong leads to
+        raise InputError(f"read_urdf: {path} is no URDF file: {type(error).__name__}: {error}.") from error
     start = {} if start is None else {joint: number(f'read_urdf: start of "{joint}"', x) for joint, x in start.items()}
     known = [j.name for j in model.joints]
     for what, names in (("link", [link.name for link in model.links]), ("joint", known)):
