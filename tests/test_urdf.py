@@ -144,6 +144,7 @@ def test_a_joint_that_mimics_begins_where_the_other_puts_it(tmp_path: Path) -> N
         ('name="two"', 'name="one"', r"names of links must be unique, found more than once: \['one'\]"),
         ('joint name="b"', 'joint name="a"', r"names of joints must be unique, found more than once: \['a'\]"),
         ('<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>', "", 'link "one" has a mass without <inertia>'),
+        ('<child link="two"/>', '<child link="one"/>', r'link "one" is the child of joints \[.a., .b.\]'),
         ("<robot name=", "<robot title=", "fingers.urdf is no URDF file: KeyError: 'name'"),
         ('ixx="1"', 'ixx="one"', "is no URDF file: ValueError: could not convert string to float: 'one'"),
     ):

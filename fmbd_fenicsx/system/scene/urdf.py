@@ -217,7 +217,14 @@ def read_urdf(file: str | Path, *, start: Mapping[str, float] | None = None) -> 
             "<origin> of the joint.",
         )
 
-    children = {j.child for j in model.joints}
+    children = [j.child for j in model.joints]
+    for child in children:
+        held = [j.name for j in model.joints if j.child == child]
+        require(
+            len(held) == 1,
+            f'{path}: link "{child}" is the child of joints {held}, each with its own place for it. Leave one, and close the '
+            "loop in the scene: scene.add(fmbd.revolute(...)).",
+        )
     roots = [link.name for link in model.links if link.name not in children]
     require(len(roots) == 1, f"{path}: expected one root link, found {roots}.")
 
