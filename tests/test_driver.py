@@ -445,6 +445,14 @@ def test_wheels_geared_to_one_fill_nothing() -> None:
     assert largest <= 9
 
 
+def test_a_row_of_many_joints_comes_after_their_bodies() -> None:
+    """Eliminated with one of them it would couple all the others."""
+    n = 100
+    hinges = [RowGroup((i - 1, i) if i else (0,), (2 * i, 2 * i + 1), False, frozenset([(i, 1 + i)])) for i in range(n)]
+    every = RowGroup(tuple(range(n)), (2 * n,), True, frozenset((i, 1 + i) for i in range(n)))
+    assert max(len(f.unknowns) for f in fronts_of(n, [*hinges, every], set()).fronts) <= 12
+
+
 def test_coupled_joints_that_leave_nothing_free_come_after_their_bodies() -> None:
     """A coupling of coordinates of other joints, or of one that leaves no more, has no pivot on its body alone."""
     one = RowGroup((0,), (0, 1), False, frozenset([(0, 1)]))

@@ -28,6 +28,7 @@ from .declarations import enumeration
 LANES = enumeration("LANES", "algebra/factor.c")["LANES"]  # columns of fronts begin at whole vectors of the processor
 
 LOCKED = "rows that wait for all bodies of their loops"  # kept with a system: numbers of rows
+MOST_COUPLED = 8  # bodies of a row that is eliminated with one of them, which couples all others
 ENTRY = 16  # eliminations that cost as much as clearing an entry of a front and adding it to the next one
 
 
@@ -105,7 +106,7 @@ def couplings_of(widths: list[int], groups: list[RowGroup], led: dict[int, list[
     """Couplings that may be eliminated with each body: of the coordinate that the one joint which leads to it leaves free."""
     found: dict[int, list[int]] = {}
     for number, group in enumerate(groups):
-        for body in group.bodies if group.coupling else ():
+        for body in group.bodies if group.coupling and len(group.bodies) <= MOST_COUPLED else ():
             joint = groups[led[body][0]] if len(led[body]) == 1 else None
             if joint is None or len(joint.ends) != 1 or not joint.ends <= group.ends:
                 continue

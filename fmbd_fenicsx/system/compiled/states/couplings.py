@@ -44,14 +44,11 @@ class Couplings:
 
     @cached_property
     def near(self) -> list[set[int]]:
-        """The bodies that each body's balance depends on, itself among them."""
+        """The bodies that each body's balance depends on, itself among them; of a row of a sum those of each term by itself."""
         near = [{b} for b in range(len(self.of_body))]
         for a, b in self.pairs:
             near[a].add(b)
             near[b].add(a)
-        for group in self.groups:
-            for body in group.bodies:
-                near[body].update(group.bodies)
         for body, read in self.answering:
             near[body].add(read)
         return near
@@ -97,11 +94,16 @@ class Couplings:
         """For each coordinate the number of the difference that moves it, (n,)."""
         colours: list[int] = []
         rows = [{b} for b in range(len(self.near))]  # the bodies whose balance depends on each
+        beside: list[set[int]] = [set() for _ in rows]  # the bodies that a row of constraints knows with each
         for a, near in enumerate(self.near):
             for b in near:
                 rows[b].add(a)
-        for depending in rows:
-            taken = {colours[c] for a in depending for c in self.near[a] if c < len(colours)}
+        for group in self.groups:
+            for body in group.bodies:
+                beside[body].update(group.bodies)
+        for body, depending in enumerate(rows):
+            known = beside[body].union(*(self.near[a] for a in depending))
+            taken = {colours[c] for c in known if c < len(colours)}
             colours.append(next(k for k in range(len(taken) + 1) if k not in taken))
 
         widths = np.zeros(max(colours, default=-1) + 1, int)
