@@ -16,7 +16,7 @@ import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError, MeshError
 from fmbd_fenicsx.materials import neo_hookean
 from fmbd_fenicsx.run.accuracy.certificate import KINDS
-from fmbd_fenicsx.run.accuracy.orders import order_seen, scattered_order
+from fmbd_fenicsx.run.accuracy.orders import order_seen
 from fmbd_fenicsx.system.scene.refinement import finer_space, more_modes, refined, refined_by_finer_space, with_bodies
 
 ALL = fmbd.Output(estimate_error=True, estimate_space=True, estimate_reduction=True)
@@ -258,13 +258,6 @@ def test_orders_of_nothing_that_falls_are_found() -> None:
         assert order_seen(*steps, (a - b) / (b - c)) == pytest.approx(2.0, rel=1e-6)
     assert order_seen(3, 1000, 1_000_000, 1e300) > 50.0
     assert order_seen(10, 30, 50, 1e-9) < 1e-6
-
-
-def test_orders_that_scatter_are_counted_with_lower_ones_before() -> None:
-    """A regular one stands alone, and so does one after runs that did not converge."""
-    assert scattered_order(1.6, 2, 1.2) == pytest.approx(1.4)
-    assert scattered_order(1.9, 2, 1.2) == 1.9
-    assert scattered_order(1.6, 2, 0.1) == scattered_order(1.6, 2, 1.8) == scattered_order(1.6, 2, None) == 1.6
 
 
 @pytest.mark.parametrize(("shift", "told"), [(0.0, True), (0.5, False)])

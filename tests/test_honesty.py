@@ -135,14 +135,6 @@ def test_an_order_between_is_not_far_from_either() -> None:
     assert usable_order(2.0, 1) == usable_order(30.0, 1) == 1.5  # smooth motion under a scheme for impacts
 
 
-def test_a_shaken_start_is_not_told_by_slow_motion_after_it() -> None:
-    """The order about the largest difference: 0 where it is as large with twice the step, whatever comes later."""
-    t = np.linspace(0.0, 1.0, 41)
-    start = Deviation(t, np.exp(-50.0 * t)[:, None])
-    assert start.when == 0.0
-    assert start.near(0.0, 0.1) == 1.0 and start.near(1.0, 0.1) < 1e-15
-
-
 def test_errors_add_up_with_their_signs() -> None:
     """At every instant; what cancels counts as two thirds at most; other times are found on straight lines."""
     t, half = np.linspace(0.0, 1.0, 5), np.linspace(0.0, 1.0, 3)

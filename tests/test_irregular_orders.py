@@ -192,8 +192,8 @@ def test_errors_told_by_chance_are_asked_again_before_steps_are_refused() -> Non
     assert 0.5 < run.certificate["reaction"].total / true < 3.0 and run.counters["steps"] < 8000
 
 
-def test_smaller_steps_tell_the_error_where_larger_ones_do_not_end() -> None:
-    """Joints with steep friction: 400 steps end and 200 do not. Nothing was stated of them, and 1600 were made."""
+def test_an_order_is_that_of_the_largest_differences() -> None:
+    """Joints with steep friction: by lower orders in the mean, and before, 100 steps were given, 1.2 times the tolerance off."""
     scene, _ = chain(2, "friction")
     for k, (coulomb, speed) in enumerate(((2.0, 0.01), (1.0, 0.02))):
         turn = fmbd.angle(scene.joints[f"pin {k}"])
@@ -203,7 +203,8 @@ def test_smaller_steps_tell_the_error_where_larger_ones_do_not_end() -> None:
     run = fmbd.solve(scene, dt=0.01, tol={"v": fmbd.relative(1e-3)}, **given)
     exact = fmbd.solve(scene, scheme=fmbd.Radau(5, rtol=1e-9), **given)
     true = float(np.abs(run["v"] - exact["v"]).max())
-    assert run.history[-1].then == "done" and run.halved and run.counters["steps"] <= 400
+    assert run.history[-1].then == "done" and run.counters["steps"] <= 400
+    assert true <= 1e-3 * np.ptp(exact["v"], axis=0).max()
     assert 0.5 < run.certificate["v"].total / true < 3.0
 
 

@@ -29,21 +29,6 @@ class Deviation:
         """The largest over the run."""
         return float(np.abs(self.values).max(initial=0.0))
 
-    @property
-    def mean(self) -> float:
-        """Root mean square over the run and the components."""
-        return float(np.sqrt(np.mean(np.square(self.values)))) if self.values.size else 0.0
-
-    @property
-    def when(self) -> float:
-        """When it is largest (s)."""
-        rows = np.abs(self.values).reshape(len(self.times), -1).max(axis=1)
-        return float(self.times[int(np.argmax(rows))])
-
-    def near(self, time: float, width: float) -> float:
-        """The largest within ``width`` (s) of a time, 0 where there is none."""
-        return float(np.abs(self.values[np.abs(self.times - time) <= width]).max(initial=0.0))
-
     def at(self, times: Array) -> Array:
         """Values at other times, straight lines between."""
         if not len(self.times):

@@ -25,18 +25,15 @@ from .orders import (
     TOO_HIGH,
     expected_orders,
     highest_order,
-    irregular,
     of_the_scheme,
     order_seen,
     resolved,
-    scattered_order,
     usable_order,
 )
 
 if TYPE_CHECKING:
     from ..single_run import Solved
 
-NEARBY = 0.1  # share of the run about the largest difference in which that with larger steps is looked at too
 FEWEST = 12  # steps of runs that tell errors by spaces and modes; fewer show an order
 ROUNDOFF = 1e-9  # errors below this share of a sensor have no order
 MATTERS = 1e-6  # the same of its range, below which nobody minds which one it is
@@ -146,18 +143,12 @@ def by_half(
 
     p the order of the scheme in the sensor, or the one that is seen where it is clearly lower, of one about. For motion of order
     one the truth is 3/2 of this with p = 2, for motion that is off by its own size in both runs 3/4. Kinks may leave about the
-    same in both: what ``larger`` steps tell beyond it counts up to :data:`FURTHER` times this, and up to the range of the sensor
-    where the error is uncertain (:func:`.orders.irregular`).
+    same in both: what ``larger`` steps tell beyond it counts up to :data:`FURTHER` times this.
     """
     orders = compare_steps(expected, finer, [given, *coarser]).orders
     errors = _left_by(given, finer.recorder, expected, orders)
     if larger is not None:
-        highest = highest_order(given.scheme, given.recorder.system)
-        for name, span in moving(given.recorder.series, given.recorder.scene.sensors).items():
-            share, other = errors[name].size / span, larger.errors[name]
-            doubted = irregular((expected[name], highest), orders[name], max(share, other.size / span))
-            most = max(FURTHER, 1.0 / share) if doubted and share > 0.0 else FURTHER
-            errors[name] = at_least(errors[name], other, most)
+        errors = {n: at_least(x, larger.errors[n], FURTHER) for n, x in errors.items()}
     return TimeError(errors, orders, given, halved=True, struck=instants_off(given.recorder, finer.recorder, 2.0))
 
 
@@ -224,23 +215,19 @@ def compare_steps(
     given: Compared,
     coarser: Sequence[Compared],
     known: Mapping[str, float] | None = None,
-    *,
-    before: Mapping[str, float] | None = None,
 ) -> TimeError:
     """Error of each sensor by Richardson's extrapolation from one or two runs with larger steps, h < H < K:
 
         |x_h - x| ~ |x_h - x_H| / ((H/h)^p - 1),     (K^p - H^p) / (H^p - h^p) = |x_H - x_K| / |x_h - x_H|     (1)
 
-    p the smallest one of those in the maximum over time, in the mean square, and about the largest |x_h - x_H|: a start that
-    shakes for some steps is not told by the slow motion after it. It counts as :func:`usable_order` says.
+    each the largest over time; p counts as :func:`usable_order` says.
 
     What steps leave of a motion that they follow is h^p e(t), whatever h is: the two differences are the same function of time
     but for their size. Where they are not (a cosine below :data:`ALIGNED`), as of motion that no run follows, or with kinks, the
     order is seen by chance.
 
     Where fast motion is not resolved (say, gravity switched on at once) the observed order is below the scheme's, and the
-    estimate larger. From one run alone p is the ``known`` one, sensor -> p, or the ``expected`` one. Orders of such motion
-    scatter: one that is not regular counts as its mean with a lower one that was seen ``before``, with larger steps.
+    estimate larger. From one run alone p is the ``known`` one, sensor -> p, or the ``expected`` one.
     """
     fine, coarse = given.recorder, coarser[0].recorder
     ratio = given.steps / coarser[0].steps
@@ -251,14 +238,10 @@ def compare_steps(
     for name, apart in beyond.items():
         p = float("nan") if known is None else known.get(name, float("nan"))
         if len(coarser) > 1 and apart.size > 0:
-            steps = coarser[1].steps, coarser[0].steps, given.steps
             far = farther[name]
-            here = far.near(apart.when, max(NEARBY * fine.t_end, 2.0 * fine.t_end / steps[0]))
-            ratios = far.size / apart.size, far.mean / apart.mean, here / apart.size
-            p = min(order_seen(*steps, x) for x in ratios)
+            p = order_seen(coarser[1].steps, coarser[0].steps, given.steps, far.size / apart.size)
             if alignment(apart, far) < ALIGNED:
                 by_chance.add(name)
-            p = scattered_order(p, expected[name], None if before is None else before.get(name))
         errors[name], orders[name] = scaled(apart, 1.0 / (ratio ** usable_order(p, expected[name]) - 1.0)), p
 
     moves = [n for n, x in fine.series.items() if errors[n].size > ROUNDOFF * np.abs(x).max(initial=0.0)]

@@ -25,7 +25,7 @@ from ..single_run import Solved
 from .companion_runs import UNFIT, Compared, as_recorded, companion
 from .deviation import Deviation, unresolved
 from .equal_steps import FEWEST, NEAREST, TimeError, astray, between, compare_steps, of_order
-from .orders import MOST_LEFT, REGULAR, TOO_HIGH, expected_orders, resolved, seen_by_ends
+from .orders import MOST_LEFT, REGULAR, expected_orders, seen_by_ends
 from .search.shares import DOUBTED, Allowed
 
 SUDDEN = 1 / 3  # of the size of the step before: the error of smooth motion does not ask for so much less at once
@@ -168,10 +168,9 @@ def larger_steps_error(solved: Solved, two: Compared, allowed: Allowed) -> TimeE
 
     They tell it where half of the order of the scheme would be enough, or most of it is far too much; stated is what :data:`SLOW`
     of the order has, or order one where larger steps leave out vibrations (:func:`.deviation.unresolved`). Else steps that are
-    four in one show the order: see :func:`.compare_steps`. Beside steps that were refused, of smooth motion as of kinks,
-    it has to be that of the scheme. A scheme that changes its order has the share :data:`.REGULAR` of the mean of those taken,
-    beside refused steps :data:`SLOW` of it: what three runs show is chance, and long motion falls by up to two fifths of an order
-    less, weak kinks by more.
+    four in one show the order: see :func:`.compare_steps`; beside steps that were refused they have to. A scheme that changes its
+    order has the share :data:`.REGULAR` of the mean of those taken, beside refused steps :data:`SLOW` of it: what three runs show
+    is chance, and long motion falls by up to two fifths of an order less, weak kinks by more.
     """
     problem, given, sensors, own = solved.problem, solved.compared, allowed.sensors, solved.compared.recorder
     refused = bool(solved.run.counters.get("rejections"))
@@ -179,8 +178,6 @@ def larger_steps_error(solved: Solved, two: Compared, allowed: Allowed) -> TimeE
     expected = expected_orders(problem.scheme, problem.scene, problem.system)
     apart = between(own, two.recorder, expected)
     quick = {n: 1 for n, x in apart.items() if unresolved(x, Deviation(own.times, own.series[n]))}
-    # a vibration of which two in one leave out all, and high orders little
-    missed = refused and SLOW * order > MOST_LEFT and not quick.keys().isdisjoint(sensors)
     strays = bool(astray(given, {n: apart[n] for n in sensors}))
 
     def told(share: float) -> dict[str, Deviation]:
@@ -190,7 +187,7 @@ def larger_steps_error(solved: Solved, two: Compared, allowed: Allowed) -> TimeE
     others = two if quick.keys().isdisjoint(sensors) else given  # finer spaces need the vibrations, too
     slow = TimeError(told(REGULAR if changes and not refused else SLOW), dict.fromkeys(expected, float("nan")), others)
     if changes:
-        return None if strays or missed else slow
+        return None if strays else slow
     if allowed.share(slow.errors) > DOUBTED * allowed.room:
         return slow
     if strays:
@@ -203,10 +200,7 @@ def larger_steps_error(solved: Solved, two: Compared, allowed: Allowed) -> TimeE
     if four is None:
         return None
     found = compare_steps(expected, given, [two, four])
-    by_chance = not found.by_chance.isdisjoint(sensors)
-    strange = any(found.orders[name] > expected[name] + TOO_HIGH for name in sensors)
-    low = refused and not resolved({name: found.orders[name] for name in sensors}, expected, REGULAR)
-    return None if by_chance or strange or low else replace(found, with_others=others)
+    return replace(found, with_others=others) if found.by_chance.isdisjoint(sensors) else None
 
 
 def _other_steps(made: Compared) -> bool:

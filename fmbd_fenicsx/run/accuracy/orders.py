@@ -126,14 +126,13 @@ def kink(t: Array, x: Array, order: float, derivative: int) -> tuple[float, floa
 
     heights = np.abs(np.diff(x, m, axis=0)).max(axis=1)
     at, about = int(heights.argmax()), m + 2
+    if at < m or np.median(heights) > ALONE * heights[at]:
+        return 0.0, np.inf
+
     fine = _about(x, m, at, about)
     wide = float(np.sqrt(0.5 * sum(_about(x[k::2], m, (at - k) // 2, about) ** 2 for k in (0, 1))))
     left = float(np.log2(wide / fine)) + derivative - 1 if min(wide, fine) > 0 else np.inf
-    if not LEAST_LEFT <= left < min(order - CLEARLY, MOST_LEFT):
-        return 0.0, np.inf
-
-    sharper = _about(x, m + 1, at, about)
-    if at < m or np.median(heights) > ALONE * heights[at] or sharper < SHARPER * fine:
+    if not LEAST_LEFT <= left < min(order - CLEARLY, MOST_LEFT) or _about(x, m + 1, at, about) < SHARPER * fine:
         return 0.0, np.inf
 
     span, step = float(np.ptp(x, axis=0).max()), float(np.quantile(np.abs(np.diff(x, axis=0)).max(axis=1), 0.9))
@@ -166,13 +165,6 @@ def _about(x: Array, m: int, at: int, wide: int) -> float:
     """The root of the sum of squares of the m-th differences of a series (n, size) about one of them."""
     near = np.diff(x, m, axis=0)[max(at - wide, 0) : at + wide + 1]
     return float(np.sqrt((near**2).sum()))
-
-
-def scattered_order(p: float, order: float, before: float | None) -> float:
-    """An order with regard to a lower one, of motion that converges, seen before; a regular one stands alone."""
-    if before is None or p >= REGULAR * order or not LEAST_ORDER <= before < p:
-        return p
-    return 0.5 * (p + before)
 
 
 def order_seen(first: int, second: int, third: int, ratio: float) -> float:

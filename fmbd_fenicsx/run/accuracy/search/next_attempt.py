@@ -328,8 +328,6 @@ def _still_known(
     changed = {"space": made.meshes != plan.meshes, "modes": made.modes != plan.modes}
     other = {"space": "modes", "modes": "space"}
     keeps = [k for k in changed if not changed[k] and (not changed[other[k]] or over[k] <= SMALL * limits[k])]
-    if plan.orders.follow and not plan.orders.seen:  # nobody has seen that so few steps follow the motion
-        keeps = [k for k in keeps if k != "space"]
     return Known({k: run.deviations.get(k, {}) for k in keeps}, run.space_unstated if "space" in keeps else "")
 
 

@@ -63,7 +63,6 @@ class SharedRuns:
         self._chosen: dict[int, Compared] = {}  # the last attempt of each scene with steps of its own choice
         # by break points the most steps with which a run failed, or only went on in parts: so it would in finer spaces
         self._parted: dict[tuple[float, ...], int] = {}
-        self._seen: dict[str, float] = {}  # order of each sensor in the last comparison
         # by scene and steps, or tolerance: whole runs that told an error, and may be the next attempt
         self._whole: dict[tuple[int, float], Solved] = {}
         self._in_one: tuple[Compared, Compared | None] | None = None  # the last run by :meth:`two_in_one`
@@ -187,8 +186,6 @@ class SharedRuns:
                 found = self._by_half(solved, found, allowed.sensors)
         if not found.errors:
             self._untold.add(solved.compared.schedule.steps)
-        if allowed.last:
-            self._seen.update(known_orders(found))
         return found
 
     def _meet_kinks(self, solved: Solved, found: TimeError, sensors: Sequence[str]) -> bool:
@@ -252,10 +249,10 @@ class SharedRuns:
                 return TimeError({}, {}, given) if halved else self._by_half(solved, None, allowed.sensors)
             unseen = not known.seen
 
-        orders, seen = orders_of(solved.problem), dict(self._seen)
-        found = compare_steps(orders, given, coarser, known.seen or None, before=seen)
+        orders = orders_of(solved.problem)
+        found = compare_steps(orders, given, coarser, known.seen or None)
         if doubtful(found, orders, (given, coarser[0]), allowed.sensors):
-            found, coarser = self._by_others(solved, found, coarser, allowed, seen)
+            found, coarser = self._by_others(solved, found, coarser, allowed)
             if found.unseen:
                 return found
 
@@ -286,7 +283,7 @@ class SharedRuns:
         return told
 
     def _by_others(
-        self, solved: Solved, found: TimeError, coarser: list[Compared], allowed: Allowed, seen: dict[str, float]
+        self, solved: Solved, found: TimeError, coarser: list[Compared], allowed: Allowed
     ) -> tuple[TimeError, list[Compared]]:
         """The error by half as many steps and by far fewer, and these runs, where what others tell is doubtful: irregular motion
         is not judged by steps of nearly the same size, nor by some that follow another one. ``unseen`` where half the step has to
@@ -304,7 +301,7 @@ class SharedRuns:
             others = [self._with(solved, n) for n in (half, farther)]
         except UNFIT:
             return doubted, coarser
-        made = compare_steps(orders_of(solved.problem), given, others, before=seen)
+        made = compare_steps(orders_of(solved.problem), given, others)
         # steps of about the same size may tell other errors
         apart = any(found.errors[n].size > DOUBTED * made.errors[n].size for n in allowed.sensors)
         return (replace(made, unseen=True) if apart else made), others

@@ -8,8 +8,8 @@ from typing import Any
 from ....system.scene.scene import Scene
 from ...single_run import Solved
 from ..companion_runs import UNFIT, Compared
-from ..deviation import Deviation, at_least
-from ..equal_steps import FURTHER, TimeError
+from ..deviation import Deviation
+from ..equal_steps import TimeError
 from ..estimates import (
     TELLING,
     beyond,
@@ -44,20 +44,19 @@ class SharedTolerances(SharedRuns):
         two = self.two_in_one(solved) if left <= ITERATED else None
         if two is not None and (found := larger_steps_error(solved, two, allowed)) is not None:
             return found
-        looser, likely = self._looser(solved, allowed), dict[str, Deviation]()
+        looser = self._looser(solved, allowed)
         first = id(problem.scene) not in self._chosen  # later ones are nearly always small enough
         self._chosen[id(problem.scene)] = given
         if looser is not None:
             apart, loose = looser
             falls = (loose.scheme.rtol / problem.scheme.rtol) ** usual_power(problem.scheme)
             seen = {n: grown(loose, given) ** p for n, p in orders_of(problem).items()}
-            likely = of_tolerances(apart, falls, seen) if min(seen[n] for n in allowed.sensors) >= TELLING else {}
-            if likely and allowed.share(likely) > DOUBTED * allowed.room:
+            told = min(seen[n] for n in allowed.sensors) >= TELLING
+            if told and allowed.share(likely := of_tolerances(apart, falls, seen)) > DOUBTED * allowed.room:
                 return TimeError(likely, {}, given)
 
         whole = (lambda rtol: self._with_tolerance(solved, rtol)) if first else None
-        errors = tolerance_error(problem, given.recorder, given.schedule, whole=whole)
-        return TimeError({n: at_least(x, likely.get(n, x), FURTHER) for n, x in errors.items()}, {}, given)
+        return TimeError(tolerance_error(problem, given.recorder, given.schedule, whole=whole), {}, given)
 
     def _looser(self, solved: Solved, allowed: Allowed) -> tuple[dict[str, Deviation], Compared] | None:
         """What a run has beyond one with a larger tolerance, and that one: the attempt before, or one with ten times its own,
