@@ -14,7 +14,7 @@ from test_compiled import stepper_of
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import CallbackError
-from fmbd_fenicsx.mechanics.forces import laws_together
+from fmbd_fenicsx.mechanics.forces import laws_together, passed_over
 from fmbd_fenicsx.mechanics.forces.laws_together import LawsTogether
 from fmbd_fenicsx.mechanics.forces.user_laws import Repeatable
 from fmbd_fenicsx.schemes.onestep.alpha.compiled_stepper import CompiledAlphaStepper
@@ -308,3 +308,42 @@ def test_springs_to_the_ground_are_asked_with_all_others(space: bool, scheme: An
         ends.append(fmbd.solve(scene, t_end=0.1, dt=1e-3, scheme=scheme())["end"])
     assert np.abs(ends[0][-1] - ends[0][0]).max() > 1e-2
     assert np.allclose(*ends, atol=1e-8)
+
+
+def over_a_bump(scalar: bool = False) -> fmbd.Scene:
+    """1 kg at 1 m/s that gains 300 N sqrt(pi) 1 mm in a narrow place of its rail."""
+    scene, mass = fmbd.Scene("bump"), fmbd.RigidBody("mass", 1.0, 1.0, (0.0, 0.0), velocity=(1.0, 0.0))
+    rail = fmbd.prismatic("rail", fmbd.ground, mass, axis=(1, 0))
+    e = math.exp if scalar else np.exp
+    bump = fmbd.joint_spring(
+        "bump", fmbd.displacement(rail), law=lambda s, rate, t: -300.0 * e(-(((s - 0.3137) / 1e-3) ** 2))
+    )
+    scene.add(mass, rail, bump)
+    scene.sensor("x", fmbd.displacement(rail))
+    return scene
+
+
+@pytest.mark.parametrize(
+    "scheme", [None, fmbd.Radau(3), fmbd.BDF(), fmbd.HalfExplicit(), fmbd.GeneralizedAlpha(rtol=1e-5), fmbd.Rattle()]
+)
+def test_a_bump_that_steps_pass_over_is_told(scheme: Any) -> None:
+    """All schemes missed it, runs that tell errors too: 0.23 of the way, stated as nothing."""
+    given = {} if scheme is not None and getattr(scheme, "rtol", None) else {"dt": 1e-2}
+    run = fmbd.solve(over_a_bump(scheme is None), t_end=1.0, scheme=scheme, output=fmbd.Output(energy=False), **given)
+    assert run["x"][-1, 0] < 1.01 and any("which steps pass over" in x for x in run.warnings)
+
+
+def test_what_steps_have_seen_of_a_law_is_not_told() -> None:
+    """Smaller steps meet the bump; beside a law that rises and falls between two places by what it is there nothing is passed."""
+    run = fmbd.solve(over_a_bump(), t_end=1.0, scheme=fmbd.Radau(3), dt=2e-3, output=fmbd.Output(energy=False))
+    speed = math.sqrt(1.0 + 2.0 * 0.3 * math.sqrt(math.pi))
+    assert abs(run["x"][-1, 0] - 0.3137 - speed * (1.0 - 0.3137)) < 1e-3 and not run.warnings
+
+    asked = passed_over.Asked(2)
+    laws = [Repeatable("force", name, lambda s, rate, t: np.sin(s)) for name in "ab"]
+    for s in np.linspace(0.0, 9.0, 5000):
+        asked.note(np.array((s, s if s < 2.0 or s > 8.5 else 2.0)))
+    assert len(asked.rows) < 2500  # places that are near to each other are one
+    (found,) = asked.passed_over(laws, 0.0)
+    assert found.name == "b" and np.allclose(found.between, (2.0, 8.5), atol=2e-3)
+    assert found.at == pytest.approx(1.5 * np.pi, abs=0.05)

@@ -73,6 +73,7 @@ def warn_of_doubts(
     _open_velocities(recorder, counters, remembers)
     if system.keepers:
         _chatter(system)
+    _passed_over(system, end.t)
     _impacts(counters)
     if system.fields and (body := inside_out(system, end.q)):
         log.warning(
@@ -162,6 +163,16 @@ def _chatter(system: System) -> None:
             "not resolve its stiffness before sliding, sqrt(stick / mass) dt > 2. Take a smaller dt or stick, or an implicit "
             "scheme, such as fmbd.GeneralizedAlpha() or fmbd.Radau()",
             ", ".join(f'"{name}"' for name in names),
+        )  # fmt: skip
+
+
+def _passed_over(system: System, t: float) -> None:
+    """Laws of coordinates that do something between the places where steps have asked them."""
+    for x in (found for loads in system.forces for found in loads.passed_over(t)):
+        log.warning(
+            '"%s": its law goes to %.3g at s = %.6g, which steps pass over: they ask it at %.6g and %.6g. Runs that tell errors '
+            "may pass over it, too. Take a dt in which s moves less, as the largest step also of schemes that choose their own",
+            x.name, x.effort, x.at, *x.between,
         )  # fmt: skip
 
 

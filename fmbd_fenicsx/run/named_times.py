@@ -19,6 +19,7 @@ from ..system.scene.scene import Scene
 
 DEPTH, VISITED = 6, 1000  # how far, and how many things, what a function holds is followed
 FEW, TABLE = 24, 2000  # numbers whose sums are looked at, and rows of a table, at most
+AGAIN, PERIODS = 6, 40  # numbers of which each may be a period, and periods in a run, at most
 PLAIN = (int, float, np.number)
 HOME = __package__.partition(".")[0]
 NOTHING = (str, bytes, bool, type, ModuleType, BuiltinFunctionType, np.ufunc, complex)
@@ -70,10 +71,12 @@ class Numbers:
             self.single.update(map(float, x))
 
     def instants(self, span: float) -> set[float]:
-        """Single numbers that are no longer than a run, and their sums and differences."""
+        """Single numbers that are no longer than a run, their sums and differences, and what comes again with one of few."""
         known = {x for x in self.single if 0.0 < abs(x) < span}
         pairs = known if len(known) <= FEW else ()
-        return known | {a + sign * b for a in pairs for b in pairs for sign in (1, -1)}
+        periods = [x for x in known if x * PERIODS >= span] if len(known) <= AGAIN else []
+        again = {a + k * b for a in (0.0, *known) for b in periods for k in range(2, int(span / b) + 1)}
+        return known | again | {a + sign * b for a in pairs for b in pairs for sign in (1, -1)}
 
 
 def functions_of(part: Any) -> list[Any]:

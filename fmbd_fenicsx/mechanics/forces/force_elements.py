@@ -25,6 +25,7 @@ from ..joints.relative import RelativeCoordinates, Separation
 from .effort_laws import EffortLaw
 from .formulas import Formula, SampledEffort, formulas_of
 from .laws_together import LawsTogether
+from .passed_over import PassedOver
 from .roads import Roads
 from .user_laws import Repeatable
 
@@ -135,6 +136,10 @@ class Loads:
     def overran(self, ev: Any, h: float, rtol: float) -> bool:
         """Whether a step of h (s) to a state, evaluated as ``ev``, was too long for the memory to follow within ``rtol``."""
         return False
+
+    def passed_over(self, t: float) -> list[PassedOver]:
+        """What laws do at a time (s) between the coordinates at which steps have asked them so far."""
+        return []
 
     @property
     def chattering(self) -> list[str]:
@@ -254,6 +259,10 @@ class ScalarLoads(Loads):
         if rest.any():
             k[rest], c[rest] = self.laws_of(which[rest]).slopes(s[rest], rate[rest], t)
         return k, c
+
+    def passed_over(self, t: float) -> list[PassedOver]:
+        """As :meth:`Loads.passed_over`."""
+        return [x for laws in self._together.values() for x in laws.asked.passed_over(laws.laws, t)]
 
     def given(self, which: np.ndarray, t: float) -> Array:
         """N of drives whose effort depends on time only."""

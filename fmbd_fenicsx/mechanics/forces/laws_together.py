@@ -23,6 +23,7 @@ import numpy as np
 from ...errors import AGREEMENTS
 from ...log import log
 from ...rotations import Array
+from .passed_over import Asked
 from .user_laws import Repeatable
 
 FEW = 8  # numbers: below it Python is faster with each of them
@@ -50,7 +51,7 @@ class LawsTogether:
     """The laws of n elements; ``size``: what elongations may be, m or rad."""
 
     def __init__(self, laws: Sequence[Repeatable], size: float = 1.0) -> None:
-        self.laws, self.size, self.least = laws, size, LEAST * size
+        self.laws, self.size, self.least, self.asked = laws, size, LEAST * size, Asked(len(laws))
         kinds: dict[Hashable, list[int]] = {}
         for i, law in enumerate(laws):
             kinds.setdefault(_kind(law.function), []).append(i)

@@ -222,7 +222,9 @@ class Calls:
         items = self.tables.sources[number]
         x, law = items.arrays, items.law
         assert law is not None
-        x["effort"][:] = law(x["s"] - x["free"], x["rate"], t)
+        s = x["s"] - x["free"]
+        law.asked.note(s)
+        x["effort"][:] = law(s, x["rate"], t)
 
     def _efforts_ahead(self, number: int, count: float) -> None:
         """N at so many points of a step."""
@@ -234,6 +236,7 @@ class Calls:
         n = free.size
         assert law is not None
         s, rate = points[:, 1 : 1 + n] - free, points[:, 1 + n : 1 + 2 * n]
+        law.asked.note(s)
         points[:, 1 + 2 * n :] = law(s, rate, points[:, :1])
 
     def _mean_effort(self, number: int, t: float) -> None:
