@@ -23,7 +23,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -67,7 +67,10 @@ class Perturbation:
     def stiffness(self, y: Array) -> Array:
         """K y, like v."""
         zero = np.zeros_like(y)
-        return self._difference(y, (y, self.velocity(y, zero), self.acceleration(y, zero, zero)))
+        out = self._difference(y, (y, self.velocity(y, zero), self.acceleration(y, zero, zero)))
+        for at, field in self._kept_volumes:
+            out[at] += field.volume_push(field.volume_rate(y[at]))
+        return out
 
     def images(self, motions: Array) -> tuple[Array, Array, Array]:
         """M, C and K times each of some motions (m, n_v), as :meth:`mass` and the others; replicated coordinates only. All states
@@ -113,6 +116,16 @@ class Perturbation:
     @cached_property
     def _balance(self) -> Array:
         return self.here.balance(self.state.a, self.state.lam)
+
+    @cached_property
+    def _kept_volumes(self) -> list[tuple[slice, Any]]:
+        """Places of bodies at nu = 1/2, and their fields with the volumes of the state. Motions that open these, as noise of
+        solves does, would be soft: they feel the stiffness that stands for the condition in the step's matrix. Collective.
+        """
+        system = self.system
+        kept = {k: part.field for k, part in system.fields if part.field.keeps_volume}
+        self.here.take_tangents(list(kept))
+        return [(system.slices[1][k], field) for k, field in kept.items()]
 
     def _pushed(self, q: Array) -> Array | float:
         """Forces of closed contacts, which stay as they are and turn with their surfaces; like v."""
