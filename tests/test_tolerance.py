@@ -566,14 +566,14 @@ def test_runs_with_many_steps_in_parts_end_early(monkeypatch: pytest.MonkeyPatch
         companion_runs.again(solved.problem, solved.compared.schedule, 22, None)
 
     # some parts cost less than smaller steps throughout; more are a matter of the scene, not of the tolerance
-    coarse = fmbd.solve(scene, t_end=1.0, dt=1 / 20, output=output)
+    coarse = fmbd.solve(scene, t_end=1.0, dt=1 / 18, output=output)
     parts = coarse.counters["halved_steps"]
-    assert 0 < parts < shared_runs.PARTED * 20
+    assert 0 < parts < shared_runs.PARTED * 18
     fresh = shared_runs.SharedRuns(None, None, 12)
-    assert fresh.solve(scene, fmbd.GeneralizedAlpha(), StepSchedule(1.0, 20), output).run.status == "finished"
-    monkeypatch.setattr(shared_runs, "PARTED", 0.5 * parts / 20)
-    with pytest.raises(PartsError, match="of 20"):
-        shared_runs.SharedRuns(None, None, 12).solve(scene, fmbd.GeneralizedAlpha(), StepSchedule(1.0, 20), output)
+    assert fresh.solve(scene, fmbd.GeneralizedAlpha(), StepSchedule(1.0, 18), output).run.status == "finished"
+    monkeypatch.setattr(shared_runs, "PARTED", 0.5 * parts / 18)
+    with pytest.raises(PartsError, match="of 18"):
+        shared_runs.SharedRuns(None, None, 12).solve(scene, fmbd.GeneralizedAlpha(), StepSchedule(1.0, 18), output)
 
 
 def test_strains_take_plain_numbers() -> None:
