@@ -14,6 +14,7 @@ import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import dolfinx_compat
 from fmbd_fenicsx.errors import CallbackError, InputError, LawError
 from fmbd_fenicsx.fem.fields import Field
+from fmbd_fenicsx.fem.given_numbers import GivenNumbers
 from fmbd_fenicsx.fem.loads import Load, body_force, pressure, thermal_stress, traction
 from fmbd_fenicsx.materials import linear_elastic, saint_venant_kirchhoff
 from fmbd_fenicsx.mechanics.elastic.floating import FloatingField
@@ -325,3 +326,15 @@ def test_numbers_of_forms_that_change_are_seen_or_refused(rod_mesh: Callable[...
     with pytest.raises(InputError, match=r'Body "rod".*has changed since the body was reduced.*Reduce it anew'):
         fmbd.solve(clamped(reduced), t_end=0.01, dt=0.01)
     fmbd.solve(clamped(body.reduced(modes=2)), t_end=0.01, dt=0.01)
+
+
+def test_numbers_of_forms_are_compared_once_a_step(
+    rod_mesh: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[GivenNumbers] = []
+    monkeypatch.setattr(GivenNumbers, "changed", property(lambda numbers: asked.append(numbers) is not None))
+    body = rod(rod_mesh(dim=2, h=0.5), traction("tip", (1.0, 0.0)))
+    scene = fmbd.Scene("clamped")
+    scene.add(body, fmbd.fixed("wall", fmbd.ground, body.surface("pin")))
+    fmbd.solve(scene, t_end=0.04, dt=0.01, output=fmbd.Output(on_step=lambda now: None))
+    assert len(asked) == 4

@@ -12,11 +12,14 @@ import ufl
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError
+from fmbd_fenicsx.fem.factors.factor import Factor
 from fmbd_fenicsx.fem.fields import Field
 from fmbd_fenicsx.materials import linear_elastic, plane_stress
+from fmbd_fenicsx.mechanics.elastic import modes
 from fmbd_fenicsx.mechanics.elastic.floating import FloatingField
 from fmbd_fenicsx.mechanics.elastic.modes import orthonormal_modes
 from fmbd_fenicsx.mechanics.placements import Attached, Chord, FrameMotion, MeanAxis
+from fmbd_fenicsx.mechanics.reduction import craig_bampton
 from fmbd_fenicsx.mechanics.reduction.craig_bampton import FrameModes
 from fmbd_fenicsx.mechanics.reduction.reduced import ReducedPart
 from fmbd_fenicsx.rotations import motions
@@ -248,6 +251,22 @@ def test_warning_of_modes_that_miss_the_start(rod_mesh: Callable[..., Any], capl
     with caplog.at_level("WARNING", logger="fmbd_fenicsx"):
         _ = body.reduced(modes=1).constants
     assert "leave out 1" in caplog.text
+
+
+def test_one_factor_makes_a_basis_and_looks_at_it(
+    rod_mesh: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Modes, static ones beside them, and what these leave out of internal loads; of fields too large to be kept, too."""
+    made = []
+    monkeypatch.setattr(craig_bampton, "SMALL", 0)
+    monkeypatch.setattr(modes, "Factor", lambda *args: made.append(args) or Factor(*args))
+
+    def hot(v: Any, dx: Any, ds: Any) -> Any:
+        return ufl.div(v) * dx
+
+    body = rod(rod_mesh(dim=2, h=0.2, height=0.2), loads=(fmbd.Load(hot, internal=True),))
+    reduction = body.reduced(basis=fmbd.CraigBampton(("pin", "tip"), 4)).reduction
+    assert len(made) == 1 and reduction.field is None
 
 
 NOTCHED = """
