@@ -81,6 +81,13 @@ def test_certificates_of_equal_steps(scene: Callable[[], fmbd.Scene], scheme: An
         assert run.halved and (stated > 0.5 or "place" in run.certificate.uncertain)
 
 
+def test_larger_steps_that_tell_more_than_half_the_step_count_up_to_a_half_more() -> None:
+    """A stop may leave about the same in both: 0.6 of the error was stated without these."""
+    scheme, output = fmbd.Radau(3, rtol=None), fmbd.Output(times=TIMES, energy=False, progress=False)
+    run = fmbd.solve(against_a_stop(), t_end=T_END, scheme=scheme, tol={"place": fmbd.relative(1e-3)}, output=output)
+    assert run.halved and 0.8 < run.certificate["place"].total / off_by(run, against_a_stop) < 3.0
+
+
 def hammer() -> fmbd.Scene:
     """A head on a pin meets an anvil by Hertz's law, for a millisecond each time."""
     scene = fmbd.Scene("hammer", gravity=(0.0, -9.81))
