@@ -60,6 +60,8 @@ def test_bad_input() -> None:
     """Energies, surfaces that are not there, numbers that are none."""
     with pytest.raises(InputError, match=r"linear form.*fmbd\.modes"):
         rod(energy=fmbd.materials.saint_venant_kirchhoff(MODULUS, 0.3)).frequencies(1)
+    with pytest.raises(InputError, match="modes need the linear form"):  # before a scene is built with it
+        rod(energy=fmbd.materials.saint_venant_kirchhoff(MODULUS, 0.3)).reduced(modes=2)
     with pytest.raises(InputError, match=r'no surface "lft".*Did you mean "left"'):
         rod().frequencies(1, held="lft")
     with pytest.raises(InputError, match="whole number, at least 1"):

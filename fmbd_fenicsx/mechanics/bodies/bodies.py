@@ -409,9 +409,16 @@ class FloatingBody(ElasticBody):
         ``fmbd.CraigBampton(("pin", "tip"), 10)``.
 
         ``modes=0`` gives the rigid body with the same mass, inertia and surfaces.
+
+        Raises:
+            InputError: an energy in place of a linear form, or no basis.
         """
         from ..reduction.craig_bampton import CraigBampton, FrameModes, ReducedBody, RefinedBasis
 
+        require(
+            self.elastic is not None,
+            f'Body "{self.name}": modes need the linear form elastic(u, v, dx), not an energy.',
+        )
         bases = (FrameModes, CraigBampton, RefinedBasis)
         require(
             not isinstance(modes, bases), f'Body "{self.name}": a basis is given by its name, reduced(basis={modes}).'

@@ -20,7 +20,7 @@ import numpy as np
 
 from ...answers import answered_by
 from ...checks import check_fields
-from ...errors import InputError, require
+from ...errors import require
 from ...fem.fields import Field
 from ...fem.mixed import make_field
 from ...log import log
@@ -279,12 +279,10 @@ def reduce_body(
     """Modes and constants of an elastic body; collective. ``known``: the reduction by the basis that a refined one contains.
 
     Raises:
-        InputError: an energy instead of a linear form, or more modes than unknowns.
+        InputError: more modes than unknowns.
     """
     from ..elastic.modes import orthonormal_modes
 
-    if body.elastic is None:
-        raise InputError(f'Body "{body.name}": modes need the linear form elastic(u, v, dx), not an energy.')
     f = known.field if known is not None and known.field is not None else make_field(body.name, body.mesh, body.forms())
     if f.kept_factors is None:
         f.kept_factors = {}  # all that follows solves with the same one
