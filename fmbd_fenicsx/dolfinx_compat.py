@@ -30,26 +30,6 @@ def check_versions() -> None:
     from petsc4py import PETSc
 
     refuse_unusable(dolfinx.__version__, np.dtype(PETSc.ScalarType).kind)
-    _keep_cells()
-
-
-@cache
-def _keep_cells() -> None:
-    """Cells that elements tell are made once each. Basix makes one whenever it is asked, a hexahedron of 147 cells within each
-    other; spaces and forms of a body ask twenty times, a third of what a small one takes to set up.
-    """
-    from basix.ufl import _ElementBase
-
-    made: dict[Any, Any] = {}
-    anew = _ElementBase.cell.fget
-
-    def kept(element: Any) -> Any:
-        kind = element.cell_type
-        if kind not in made:
-            made[kind] = anew(element)
-        return made[kind]
-
-    _ElementBase.cell = property(kept, doc=_ElementBase.cell.__doc__)
 
 
 def refuse_unusable(version: str, scalar_kind: str) -> None:

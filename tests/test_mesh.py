@@ -428,22 +428,6 @@ def test_reader_asks_for_usable_libraries(monkeypatch: pytest.MonkeyPatch) -> No
         read_gmsh("meshes/rod.py", h=0.5)
 
 
-def test_a_further_body_makes_no_cells(rod_mesh: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
-    """Those of its elements are known: a tetrahedron is made with 74 others."""
-    mesh, made = rod_mesh(dim=3, h=0.5, height=0.2), []
-
-    def build() -> None:
-        scene = fmbd.Scene("one")
-        scene.add(elastic_rod(mesh))
-        scene.build()
-
-    build()
-    anew = ufl.Cell.__init__
-    monkeypatch.setattr(ufl.Cell, "__init__", lambda cell, name: made.append(name) or anew(cell, name))
-    build()
-    assert len(made) < 30
-
-
 def test_shapes_too_small_for_the_kernel_say_so() -> None:
     """Nanometres are drawn in larger units."""
     with pytest.raises(MeshError, match=r"block\.py: .*OpenCASCADE.*below 1e-7.*scale="):
