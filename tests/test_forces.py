@@ -177,7 +177,9 @@ def test_forces_refuse_wrong_input() -> None:
     with pytest.raises(InputError, match='"s".*must be fmbd.angle'):
         fmbd.joint_spring("s", mass)  # type: ignore[arg-type]
     with pytest.raises(InputError, match='"t".*unit vector'):
-        fmbd.Tyre("t", mass, road=lambda x, t: 0.0, up=(0, 2, 0))
+        fmbd.Tyre("t", mass, road=lambda x, t: 0.0, stiffness=1.0, up=(0, 2, 0))
+    with pytest.raises(InputError, match='"t": up = None must be given in space'):
+        fmbd.Tyre("t", fmbd.RigidBody("wheel", 1.0, (1.0, 1.0, 1.0)), road=lambda x, t: 0.0, stiffness=1.0)
     scene = fmbd.Scene("together")
     scene.add(mass, fmbd.Spring("s", fmbd.ground, mass, (0, 0), stiffness=1.0))
     with pytest.raises(InputError, match='"s".*coincide'):

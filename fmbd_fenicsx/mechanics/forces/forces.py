@@ -205,14 +205,14 @@ class Tyre(Force):
     c = radius + road(x, t) - up . x with x the world position (d,) of the wheel centre ``point_a``; road(x, t) is the height of
     the road along ``up`` under that point, smooth; let it depend on t to drive the road past a vehicle that stays in place.
     The force acts at the centre, along ``up`` on slopes too: no part of it pushes the wheel along the road, uphill or down, and
-    there is no friction.
+    there is no friction. ``up`` is a unit vector, the y axis of the plane where it is not given; in space it is to be.
     """
 
     road: Road = None  # type: ignore[assignment]
     radius: float = 0.3  # m
     stiffness: float = None  # type: ignore[assignment]  # N/m; 0 where only the other is given
     damping: float = None  # type: ignore[assignment]  # N s/m, the same
-    up: Sequence[float] = (0.0, 1.0, 0.0)
+    up: Sequence[float] | None = None
 
     batch: ClassVar[type[Loads]] = TyreLoads
 
@@ -229,9 +229,12 @@ class Tyre(Force):
 
         function(f'Tyre "{self.name}": road', self.road, "xt", named="x, t")
         number(f'Tyre "{self.name}": radius', self.radius, above=0.0, unit="m")
+        k, c = _constants(f'Tyre "{self.name}"', self.stiffness, self.damping)
+        if self.up is None:
+            require(self.a.dim == 2, f'Tyre "{self.name}": up = None must be given in space, say (0, 0, 1).')
+            object.__setattr__(self, "up", (0.0, 1.0))
         size = float(np.linalg.norm(vector(f'Tyre "{self.name}": up', self.up, size=self.a.dim)))
         require(abs(size - 1.0) < 1e-9, f'Tyre "{self.name}": up {self.up} must be a unit vector.')
-        k, c = _constants(f'Tyre "{self.name}"', self.stiffness, self.damping)
         object.__setattr__(self, "stiffness", k)
         object.__setattr__(self, "damping", c)
 
