@@ -194,11 +194,20 @@ class ContactSet:
         """Part of the gaps' rates that comes from prescribed motion, m/s, (m,), by central differences;
         collective.
         """
-        if not any(p.moving for p in self.pairs):
-            return np.zeros(len(self.pair))
         # of prescribed motions nobody knows the rate: differences within the step
         e = 1e-3 * h
-        return (self.touch(system, t + e, q).gap - self.touch(system, t - e, q).gap) / (2 * e)
+        return self.gap_ways(system, (t, q), ((t - e, -1.0), (t + e, 1.0))) / (2 * e)
+
+    def gap_ways(self, system: Any, at: tuple[float, Array], way: Way) -> Array:
+        """What prescribed motion alone opens gaps by at (t, q) along a way, (m,), m; collective."""
+        out: Array = np.zeros(len(self.pair))
+        if not any(p.moving for p in self.pairs):
+            return out
+        here = Here(self, system, *at)
+        for group, span in zip(self.groups, self._spans, strict=True):
+            if getattr(group, "prescribed", ()):
+                out[span] = group.gap_ways(here, way)
+        return out
 
     # -- products --------------------------------------------------------------------------------------------
     def times(self, system: Any, rows: LinearRows, v: Array) -> Array:

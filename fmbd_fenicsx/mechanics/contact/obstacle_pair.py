@@ -152,6 +152,26 @@ class ObstacleSearch:
             gap[rows], gradient[rows] = told(y[rows])
         return gap, gradient
 
+    def _ways(self, m: Motions, way: Way, y: Array) -> Array:
+        """How far points y (m, d) in the axes of their obstacles move with those that are prescribed, (m, d).
+
+        By the ways of these: by places of their own points would differ by roundoff, and ask contacts that depend on each
+        other for what they cannot do.
+        """
+        out = np.zeros_like(y)
+        told = [(weight, self._told(time)) for time, weight in way]
+        for k, (i, _) in enumerate(self.prescribed):
+            shift = sum(weight * poses[k][: m.dim] for weight, poses in told)
+            turn: Any = sum(weight * m.matrix(poses[k]) for weight, poses in told)
+            rows = self.of == i
+            out[rows] = shift + y[rows] @ turn.T
+        return out
+
+    def gap_ways(self, here: Here, way: Way) -> Array:
+        """What prescribed motion alone opens gaps by, (m,); collective."""
+        touch = self.touch(here)
+        return -(touch.normal * self._ways(here.contacts.m, way, touch.relative)).sum(1)
+
     def touch(self, here: Here) -> Touch:
         """Gaps of all candidates; collective."""
         return self._place(here)[0]
@@ -178,11 +198,8 @@ class ObstacleSearch:
             contacts.add_frames(core, in_turn(on, c), frames.repeat(c), told)
 
         drift = np.zeros((self.count, c - 1))
-        for time, weight in way if way is not None and c > 1 else ():
-            for (i, _), pose in zip(self.prescribed, self._told(time), strict=True):
-                rows = self.of == i
-                place = pose[: contacts.m.dim] + touch.relative[rows] @ contacts.m.matrix(pose).T
-                drift[rows] += weight * (e[rows, 1:] * place[:, None]).sum(2)
+        if way is not None and c > 1:
+            drift = (e[:, 1:] * self._ways(contacts.m, way, touch.relative)[:, None]).sum(2)
 
         return Rows(
             gap=touch.gap,

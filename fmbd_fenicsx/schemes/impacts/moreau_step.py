@@ -74,8 +74,7 @@ class MoreauStep(ContactStep):
         if rows.components > 1:
             slips = np.einsum("mk,kmd->md", rates[:, 1:], tangents_of(rows.normal))
             rates[:, 1:] = np.einsum("md,kmd->mk", slips, tangents_of(normal))
-        if any(pair.moving for pair in contacts.pairs):
-            rates[:, 0] += sum(weight * contacts.touch(system, time, s.q).gap[closed] for time, weight in way) / h
+        rates[:, 0] += contacts.gap_ways(system, (s.t, s.q), way)[closed] / h
         return rates
 
     def _openings(self, v: Array) -> Array:

@@ -115,24 +115,6 @@ static double along(const Contacts *c, int i, const double *row, const double *v
     return sum;
 }
 
-/* Rates of all gaps that come from prescribed motion, by central differences over the span. */
-static int gap_rates(Contacts *c, const double *q, double t, double span, double *rate)
-{
-    for (int k = 0; k < c->candidates; k++) rate[c->candidate[k]] = 0.0;
-    if (!c->moving) return 0;
-
-    double e = 1e-3 * span;
-    Touch aside = c->aside;
-    if (touch(c, q, t + e, &aside)) return 1;
-    for (int k = 0; k < c->candidates; k++) rate[c->candidate[k]] = aside.gap[c->candidate[k]];
-    if (touch(c, q, t - e, &aside)) return 1;
-    for (int k = 0; k < c->candidates; k++) {
-        const int i = c->candidate[k];
-        rate[i] = (rate[i] - aside.gap[i]) / (2 * e);
-    }
-    return 0;
-}
-
 /* Places of moving obstacles, summed up by weights: how far they come in a time, or would with their velocities at its start. */
 typedef struct {
     int parts;
@@ -143,24 +125,60 @@ static Way way_over(double t, double span) { return (Way){2, {t, t + span}, {-1.
 
 static Way way_at_start(double t, double h) { return (Way){3, {t, t + 0.5 * h, t + h}, {-3.0, 4.0, -1.0}}; }
 
+/* How far the origin of an obstacle moves, and how its axes turn. Points have their ways from these: by places of their own they would
+   differ by roundoff, and ask contacts that depend on each other for what they cannot do. 1 where Python failed. */
+static int obstacle_way(const Contacts *c, Pair *o, const double *q, Way way, double *shift, double *turn)
+{
+    double r[D], R[D * D];
+    memset(shift, 0, D * sizeof(double));
+    memset(turn, 0, D * D * sizeof(double));
+    for (int part = 0; part < way.parts; part++) {
+        if (obstacle(c, o, q, way.time[part], r, R)) return 1;
+        add(shift, way.weight[part], r, D);
+        add(turn, way.weight[part], R, D * D);
+    }
+    return 0;
+}
+
+/* What prescribed motion alone opens gaps by at a configuration, along a way over a time. */
+static int gap_ways(Contacts *c, const double *q, double t, Way way, double over, double *rate)
+{
+    for (int k = 0; k < c->candidates; k++) rate[c->candidate[k]] = 0.0;
+    for (int k = 0; c->moving && k < c->nears; k++) {
+        Pair *o = c->pair + c->near[k];
+        double shift[D], turn[D * D], moved[D];
+        if (!o->moving) continue;
+        if (obstacle_way(c, o, q, way, shift, turn) || touch_pair(c, o, q, t, &c->aside)) return 1;
+        for (int i = o->first; i < o->first + o->count; i++) {
+            times(turn, c->aside.relative + D * i, moved);
+            add(moved, 1.0, shift, D);
+            rate[i] = -dot(c->aside.normal + D * i, moved, D) / over;
+        }
+    }
+    return 0;
+}
+
+/* Rates of all gaps that come from prescribed motion, by central differences over the span. */
+static int gap_rates(Contacts *c, const double *q, double t, double span, double *rate)
+{
+    const double e = 1e-3 * span;
+    return gap_ways(c, q, t, way_over(t - e, 2 * e), 2 * e, rate);
+}
+
 /* How far the obstacle of contact i moves along the directions across its normal; the contact is that of a time. */
 static int drifts(const Contacts *c, int i, const double *q, double time, Way way, const Touch *at, double *drift)
 {
     Pair *o = c->pair + c->of[i];
-    double r[D], R[D * D], arm[D], y[D], e[D * D];
+    double r[D], R[D * D], arm[D], y[D], e[D * D], shift[D], turn[D * D];
     memset(drift, 0, c->components * sizeof(double));
     if (!o->moving || c->components == 1) return 0;
-    if (obstacle(c, o, q, time, r, R)) return 1;
+    if (obstacle(c, o, q, time, r, R) || obstacle_way(c, o, q, way, shift, turn)) return 1;
     for (int j = 0; j < D; j++) arm[j] = at->x[D * i + j] - r[j];
     transposed(R, arm, y);
+    times(turn, y, arm);
+    add(arm, 1.0, shift, D);
     across(at->normal + D * i, e + D);
-
-    for (int part = 0; part < way.parts; part++) {
-        if (obstacle(c, o, q, way.time[part], r, R)) return 1;
-        times(R, y, arm);
-        for (int k = 1; k < c->components; k++)
-            for (int j = 0; j < D; j++) drift[k] += way.weight[part] * e[D * k + j] * (r[j] + arm[j]);
-    }
+    for (int k = 1; k < c->components; k++) drift[k] = dot(e + D * k, arm, D);
     return 0;
 }
 
@@ -179,10 +197,8 @@ static int start_rates(Contacts *c, Block now, int m, double length)
             c->before[c->components * k + a] = along(c, c->closed[k], c->rows + 2 * c->wide * a, now.v) - c->drift[a] / length;
     }
 
-    for (int part = 0; c->moving && part < way.parts; part++) {
-        if (touch(c, now.q, way.time[part], &c->aside)) return 1;
-        for (int k = 0; k < m; k++) c->rebound[k] += way.weight[part] * c->aside.gap[c->closed[k]] / length;
-    }
+    if (gap_ways(c, now.q, *now.t, way, length, c->rate)) return 1;
+    for (int k = 0; k < m; k++) c->rebound[k] += c->rate[c->closed[k]];
     return 0;
 }
 
