@@ -347,3 +347,28 @@ def test_what_steps_have_seen_of_a_law_is_not_told() -> None:
     (found,) = asked.passed_over(laws, 0.0)
     assert found.name == "b" and np.allclose(found.between, (2.0, 8.5), atol=2e-3)
     assert found.at == pytest.approx(1.5 * np.pi, abs=0.05)
+
+
+@pytest.mark.parametrize("space", [False, True])
+def test_a_bump_of_a_road_that_steps_pass_over_is_told(space: bool) -> None:
+    """A quarter of a car at 20 m/s went over 0.08 m on 0.4 m of its way without a word."""
+    up, load = (0.0, 0.0, 1.0) if space else (0.0, 1.0), 300.0 * 9.81
+
+    def driven(**given: Any) -> Any:
+        place, along = (
+            ((0.0, 1.0, 0.3 - load / 2e5), (20.0, 0.0, 0.0)) if space else ((0.0, 0.3 - load / 2e5), (20.0, 0.0))
+        )
+        inertia = (50.0, 50.0, 50.0) if space else 50.0
+        body = fmbd.RigidBody("body", 300.0, inertia, place, velocity=along)
+        scene = fmbd.Scene("car", gravity=tuple(-9.81 * x for x in up))
+        tyre = fmbd.forces.Tyre(
+            "tyre", body, road=lambda x, t: 0.08 * np.exp(-(((x[0] - 50.0) / 0.2) ** 2)), radius=0.3, stiffness=2e5,
+            damping=3e3, up=up,
+        )  # fmt: skip
+        scene.add(body, tyre)
+        scene.sensor("place", fmbd.position(body))
+        return fmbd.solve(scene, t_end=3.0, scheme=fmbd.Radau(3), **given)
+
+    passed, seen = driven(), driven(dt=5e-3)
+    assert np.ptp(passed["place"][:, -1]) < 1e-9 and any("which steps pass over" in x for x in passed.warnings)
+    assert np.ptp(seen["place"][:, -1]) > 0.05 and not seen.warnings

@@ -343,6 +343,10 @@ class TyreLoads(Loads):
         """The road."""
         return f.road
 
+    def passed_over(self, t: float) -> list[PassedOver]:
+        """As :meth:`Loads.passed_over`, of roads."""
+        return self.roads.passed_over(t, self.up)
+
     def _compression(self, kin: Kinematics, t: float, *, rates: bool = True) -> tuple[Array, Array]:
         """c and c', where dampers ask for ``rates``; else c' is zero."""
         places, along = kin.x[self.a], np.add.reduce

@@ -44,6 +44,19 @@ class Asked:
         if len(self.rows) > GATHERED:
             self.rows = [self._thinned()]
 
+    @classmethod
+    def of(cls, places: Array) -> Asked:
+        """Of one law that was asked at these (k,)."""
+        made = cls(1)
+        made.note(places)
+        return made
+
+    @property
+    def places(self) -> Array | None:
+        """All of them, (k, n), those of each element ascending by themselves; None where nobody asked."""
+        self.rows = [self._thinned()] if self.rows else []
+        return self.rows[0] if self.rows else None
+
     def _thinned(self) -> Array:
         """Fewer places with the same gaps, (k, n), ascending."""
         places = np.sort(np.concatenate([s.reshape(-1, self.n) for s in self.rows]), axis=0)
@@ -60,10 +73,8 @@ class Asked:
 
     def passed_over(self, laws: Sequence[Any], t: float) -> Iterable[PassedOver]:
         """Which laws do more between these coordinates, at rest at a time t (s), than at them."""
-        if not self.rows:
-            return
-        self.rows = [self._thinned()]
-        for law, column in zip(laws, self.rows[0].T, strict=True):
+        places = self.places
+        for law, column in zip(laws, () if places is None else places.T, strict=places is not None):
             x: Array = np.asarray(column)
             gaps = np.diff(x)
             gaps[gaps <= (x[-1] - x[0]) / LOOKED_AT] = 0.0
@@ -73,10 +84,10 @@ class Asked:
             count = max(LOOKED_AT // self.n, FEWEST)
             way = (np.arange(count) + 0.5) / count * ends[-1]
             k = np.searchsorted(ends, way)
-            places = x[k + 1] - (ends[k] - way)
+            inside = x[k + 1] - (ends[k] - way)
             beside = np.unique(np.concatenate((k, k + 1)))
             try:
-                efforts = _efforts(law, np.concatenate((places, x[beside])), t)
+                efforts = _efforts(law, np.concatenate((inside, x[beside])), t)
             except FmbdError:
                 continue
             before, behind = (efforts[count + np.searchsorted(beside, i)] for i in (k, k + 1))
@@ -85,7 +96,7 @@ class Asked:
             )
             over -= np.maximum(np.abs(before), np.abs(behind))
             i = int(over.argmax())
-            at, between = float(places[i]), (float(x[k[i]]), float(x[k[i] + 1]))
+            at, between = float(inside[i]), (float(x[k[i]]), float(x[k[i] + 1]))
             if over[i] > SHARE * np.abs(efforts[count:]).max() and np.isclose(law.number(at, 0.0, t), efforts[i]):
                 yield PassedOver(law.name, at, float(efforts[i]), between)
 

@@ -20,6 +20,7 @@ import numpy as np
 from ...errors import AGREEMENTS, FmbdError, named
 from ...rotations import Array
 from ..kinds.time_derivatives import along
+from .passed_over import Asked, PassedOver
 from .user_laws import checked_number
 
 ROAD = "road(x, t), which is asked for one height at x, all coordinates of the wheel's centre,"
@@ -29,6 +30,7 @@ STEP, SHORT = 1e-5, 1e-7  # of differences and of (z(s) - z(0)) / s: shares of t
 SLOW = 1e-2
 WRONG, DROPPED = 1e-6, 1e-5  # of radius and speed: what heights and rates may differ by, at first and later
 KEPT = 4  # answers
+STRAIGHT = 1e-3  # of a way: what it goes aside
 
 Moving = tuple[float, float]  # height (m) and rate (m/s)
 Way = Callable[[int, Array, Array, float], Moving | None]
@@ -47,6 +49,7 @@ class Roads:
         ]
         self.ways: dict[int, list[Way]] = {}  # that a road takes, the quickest first
         self.kept: dict[Hashable, Array] = {}
+        self.asked: Asked | None = None
 
     def heights(self, x: Array, t: float) -> Array:
         """Heights (n,) at places (n, d), m."""
@@ -54,6 +57,8 @@ class Roads:
 
     def moving(self, x: Array, v: Array, t: float) -> Array:
         """Heights (m) and rates (m/s), (n, 2), under wheels at places (n, d) that move with v (n, d)."""
+        self.asked = self.asked or Asked(x.size)
+        self.asked.note(x)
         key = x.tobytes(), v.tobytes(), t
         return self._known(key, lambda: [self._one(i, x[i], v[i], t) for i in range(len(x))])
 
@@ -71,6 +76,21 @@ class Roads:
     def height(self, i: int, x: Array, t: float) -> float:
         """The road under tyre i at a place x, m."""
         return checked_number(self.tyres[i].name, self.roads[i](x, t), t, ROAD)
+
+    def passed_over(self, t: float, up: Array) -> list[PassedOver]:
+        """What roads do at a time (s) between the places of wheels that have gone straight on, across their ``up`` (n, d)."""
+        places = None if self.asked is None else self.asked.places
+        if places is None:
+            return []
+        found = []
+        for i in range(len(up)):
+            x: Array = places.reshape(len(places), *up.shape)[:, i]
+            level: Array = np.ptp(x, axis=0) * (1.0 - np.abs(up[i]))
+            main = int(level.argmax())
+            if np.delete(level, main).max(initial=0.0) <= STRAIGHT * level[main]:
+                way = _Straight(self, i, np.asarray(x.mean(axis=0)), main)
+                found += list(Asked.of(x[:, main]).passed_over([way], t))
+        return found
 
     def _known(self, key: Hashable, ask: Callable[[], list[Any]]) -> Array:
         """What was asked for before, or the answer; always asked for where ranks have to agree on it."""
@@ -155,3 +175,16 @@ class Roads:
         if back is None or abs(rate - (back[1] - 4.0 * back[0]) / (2.0 * s)) > DROPPED * max(abs(rate), speed):
             return here, rate
         return here, (8.0 * (ahead[0] - back[0]) - ahead[1] + back[1]) / (12.0 * s)
+
+
+class _Straight:
+    """The road under one tyre along one coordinate, as a law of that."""
+
+    def __init__(self, roads: Roads, i: int, place: Array, main: int) -> None:
+        self.roads, self.i, self.place, self.main, self.name = roads, i, place, main, roads.tyres[i].name
+
+    def number(self, s: float, _: float, t: float) -> float:
+        """Its height at a place, m."""
+        x = self.place.copy()
+        x[self.main] = s
+        return self.roads.height(self.i, x, t)
