@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -312,18 +313,23 @@ def test_steps_over_a_reversal_are_seen(stages: int, compiled: bool, monkeypatch
     assert max(errors) < 60.0
 
 
-def to_and_fro(stick: float, damping: float) -> fmbd.Scene:
-    """1 kg that 10 cos 5t N push on a rail against dry friction of 5 N."""
+def pushing(t: float) -> float:
+    """10 cos 5t N."""
+    return float(10.0 * np.cos(5.0 * t))
+
+
+def to_and_fro(stick: float, damping: float, push: Callable[[float], float] = pushing) -> fmbd.Scene:
+    """1 kg that is pushed on a rail against dry friction of 5 N."""
     scene, mass = fmbd.Scene("to and fro"), fmbd.RigidBody("mass", 1.0, 1.0, (0.0, 0.0))
     rail = fmbd.prismatic("rail", fmbd.ground, mass, axis=(1, 0))
     along = fmbd.displacement(rail)
     scene.add(mass, rail, fmbd.dry_friction("rub", along, limit=5.0, stick=stick, damping=damping))
-    scene.add(fmbd.force("push", mass, lambda t: (10.0 * np.cos(5.0 * t), 0.0)))
+    scene.add(fmbd.force("push", mass, lambda t: (push(t), 0.0)))
     scene.sensor("x", along)
     return scene
 
 
-def exactly_to_and_fro(stick: float, damping: float, times: Array) -> Array:
+def exactly_to_and_fro(stick: float, damping: float, times: Array, push: Callable[[float], float] = pushing) -> Array:
     """Its place at some times, piece by piece: it sticks in p, or (``side``) slides."""
     p, side = 0.0, 0
 
@@ -331,7 +337,7 @@ def exactly_to_and_fro(stick: float, damping: float, times: Array) -> Array:
         return float(stick * (z[0] - p) + damping * z[1])
 
     def rates(t: float, z: Array) -> tuple[float, float]:
-        return z[1], 10.0 * np.cos(5.0 * t) - (side * 5.0 if side else spring(z))
+        return z[1], push(t) - (side * 5.0 if side else spring(z))
 
     def ends(t: float, z: Array) -> float:  # p goes on no more, or begins to
         return side * (z[1] + damping / stick * rates(t, z)[1]) if side else 5.0 - abs(spring(z))
@@ -362,6 +368,18 @@ def test_dry_friction_that_turns_within_a_step_keeps_the_tolerance(
     for scheme in [*schemes, fmbd.BDF(rtol=1e-4), fmbd.GeneralizedAlpha(rtol=1e-4)] if compiled else schemes[:2]:
         run = fmbd.solve(to_and_fro(stick, damping), t_end=1.3, scheme=scheme, output=fmbd.Output(times=t))
         assert np.abs(run["x"][:, 0] - x).max() < 300.0 * scheme.rtol * np.ptp(x), scheme.name
+
+
+@pytest.mark.parametrize("rtol", [1e-3, 2e-4])
+def test_what_sticks_at_both_ends_of_a_step_and_slides_within_is_seen(rtol: float) -> None:
+    """The first step from rest was a sixth of the run, over a whole slide, and all that came was off by as much."""
+    push = lambda t: 7.0 * np.sin(6.0 * t) * np.exp(-t)  # noqa: E731 below the limit after a sixth of the run
+    t = np.linspace(0.0, 2.0, 41)
+    run = fmbd.solve(
+        to_and_fro(1e5, 100.0, push), t_end=2.0, scheme=fmbd.GeneralizedAlpha(rtol=rtol), output=fmbd.Output(times=t)
+    )
+    x = exactly_to_and_fro(1e5, 100.0, t, push)
+    assert np.abs(run["x"][:, 0] - x).max() < 0.02 * np.ptp(x)
 
 
 def test_an_iteration_that_fails_beside_an_elastic_body_ends() -> None:

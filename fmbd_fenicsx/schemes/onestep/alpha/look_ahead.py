@@ -16,21 +16,33 @@ What the ends of a step differ by is seen by its error. Where that alone moves b
 turns them by a radian, the step is not tried: Newton's iteration for a weight that comes within it fails after many tangents.
 
     (M + s K) d + G^T mu = h^2 / 2 (f(t + h) - f(t)),     G d = 0                                                        (3)
+
+Laws are as stiff here as in the state that is held, and what sticks may give way under a load within the step and stick again at
+its end. With the f(t_k) farthest from f(t), and the one farthest from that, this moves
+
+    M (x - h v) + s (K x + D x') = s (f(t_k) - f(t)),    r = N + K x + D x' - N(q o x, v + x'),    (M + s K') e = h^2 / 6 r    (4)
+
+beside constraints as in (1), with the efforts N of laws and their slopes K, D here, and K' where they have led.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
+from ....errors import CallbackError
 from ....linear.blocks.field_blocks import Weights
 from ....linear.condensation import StepSolver
+from ....mechanics.forces.force_elements import ScalarLoads
 from ....rotations import Array
+from ....system.evaluation import Evaluation
 from ....system.layout import State
 from ....system.system import System
-from ...error_norm import NormOfWays
+from ...error_norm import NormOfWays, worst
 from ...prescribed_ways import opened
 
 LOOKS = (0.118, 0.236, 0.382, 0.5, 0.618, 0.764, 0.882)  # where in a step loads and drives are looked at
@@ -82,8 +94,8 @@ class LookAhead:
         return opened(self.system, replace(s, v=np.zeros_like(s.v)), s.t + ways)
 
     def loads(self, s: State, h: float, steps: int = 1) -> float:
-        """The norm of (1) for the worst of so many steps of size h (s), or the way of (3) over the length of the model where that
-        is above one.
+        """The norm of (1) and (4) for the worst of so many steps of size h (s), or the way of (3) over the length of the model
+        where that is above one.
         """
         if not self.system.pushes_in_time:
             return 0.0
@@ -103,9 +115,53 @@ class LookAhead:
         between = looked[:, 1:] - ends[:-1, None] - np.array(LOOKS)[:, None] * jumps[:, None]
         # what the ends of the step differ by is seen by the error of the step
         unseen = np.sign(between) * np.maximum(np.abs(between) - np.abs(jumps[:, None]), 0.0)
-        worst = h * h / 6.0 * _largest(unseen.reshape(-1, forces.shape[1]))
+        largest = h * h / 6.0 * _largest(unseen.reshape(-1, forces.shape[1]))
         self.norm.update(s, h)
-        return self._at_most(s, h, worst, lambda e: self.norm(h, e, np.zeros_like(e)))
+        missed = self._at_most(s, h, largest, lambda e: self._error(h, e))
+        return worst(missed, self._giving_way(s, h, forces[0] - forces))
+
+    def _error(self, h: float, e: Array) -> float:
+        return self.norm(h, e, np.zeros_like(e))
+
+    @cached_property
+    def laws(self) -> list[ScalarLoads]:
+        """Elements whose stiffness may not last."""
+        return [x for x in self.system.forces if isinstance(x, ScalarLoads) and x.follows_laws]
+
+    def _giving_way(self, s: State, h: float, pushes: Array) -> float:
+        """The norm of (4) in a step of size h (s) from forces as they are here, (k, n_v)."""
+        if not self.laws:
+            return 0.0
+        far = self._farthest(pushes)
+        back = far + self._farthest(pushes - far)
+        try:
+            return worst(self._lost(s, h, far), self._lost(s, h, back))
+        except CallbackError:
+            return np.inf  # a law of the user's own that ends there
+
+    def _farthest(self, pushes: Array) -> Array:
+        """The largest row, the same one on all ranks."""
+        return np.asarray(pushes[np.argmax([self.system.max_abs(push) for push in pushes])])
+
+    def _lost(self, s: State, h: float, push: Array) -> float:
+        """The norm of (4) for one force."""
+        if self.system.max_abs(push) == 0.0:
+            return 0.0
+        system, weights = self.system, self.weights(h)
+        here, flown = Evaluation(system, s.t, s.q, s.v), Evaluation(system, s.t, system.compose(s.q, h * s.v), s.v)
+        before = here.wrenches()
+        with ExitStack() as straight:
+            for loads in self.laws:
+                straight.enter_context(loads.straight(here.kin, s.t))
+            held = flown.spread(flown.wrenches() - before)
+            x = self._moved(s, weights.ck * (push + held), weights)
+            end = replace(s, q=system.compose(s.q, h * s.v + x), v=s.v + weights.cd / weights.ck * x)
+            led = Evaluation(system, s.t, end.q, end.v)
+            foretold = led.wrenches()
+        lost = led.spread(led.wrenches() - foretold)
+        if system.max_abs(lost) == 0.0:
+            return 0.0
+        return self._error(h, self._moved(end, h * h / 6.0 * lost, weights))
 
     def _way(self, d: Array) -> float:
         """The largest way of (3) over the length of the model."""
