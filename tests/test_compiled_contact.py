@@ -39,6 +39,15 @@ def bouncing(dim: int) -> Any:
     return [ball, floor(ball, 0.3, 0.6)]
 
 
+def sliding() -> Any:
+    """A ball that falls dead with a spin about all axes, slides and rolls: friction turns it within each step."""
+    inertia = (0.004, 0.005, 0.006)
+    ball = fmbd.RigidBody(
+        "ball", 1.0, inertia, (0, 0, 0.11), velocity=(2.0, 0, 0), angular_velocity=(10.0, -20.0, 15.0)
+    )
+    return [ball, floor(ball, 0.4, 0.0)]
+
+
 def rolling() -> Any:
     """A disk that slides, then rolls, on a spring and a damper."""
     disk = fmbd.RigidBody("disk", 1.0, 0.005, (0, 0.1), velocity=(1.0, 0))
@@ -133,7 +142,7 @@ def on_a_block(dim: int, friction: float) -> Any:
         mesh = fmbd.read_gmsh(BLOCK, size=size[flat], counts=counts[flat], quads=True, origin=origin[flat])
         return fmbd.FloatingBody(name, mesh, density=1000.0, elastic=elastic).reduced(modes=modes)
 
-    body = made("rod", (1.0, 0.2, 0.2), (5, 1, 1), (0.0, 0.0, 0.0), 3 if dim == 2 else 0)
+    body = made("rod", (1.0, 0.2, 0.2), (5, 1, 1), (0.0, 0.0, 0.0), 3 if dim == 2 else 8)
     base = made("base", (0.8, 0.3, 0.3), (3, 2, 1), (0.37, -0.07, -0.31), 2)
     axis = {} if dim == 2 else {"axis": (0, -1, 0)}
     hinge = fmbd.revolute("hinge", fmbd.ground, body.surface("left"), center=(0.0, 0.1, 0.1)[:dim], **axis)
@@ -203,7 +212,8 @@ def rope(friction: float) -> Any:
 
 
 SCENES = {
-    "bouncing 2": lambda: bouncing(2), "bouncing 3": lambda: bouncing(3), "rolling": rolling, "hollow": in_a_hollow,
+    "bouncing 2": lambda: bouncing(2), "bouncing 3": lambda: bouncing(3), "sliding": sliding, "rolling": rolling,
+    "hollow": in_a_hollow,
     "cylinder": lambda: over_a_cylinder(np.inf), "rim": lambda: over_a_cylinder(0.5), "box": lambda: on_a_box(False),
     "inside of a box": into_a_box, "carried box": lambda: on_a_box(True), "turned box": lambda: on_a_box(True, -0.3), "cam": cam,
     "dry friction": lambda: with_memory(False),
@@ -228,6 +238,7 @@ def run(name: str, t_end: float = 0.4, **output: Any) -> Any:
     if isinstance(items[0], fmbd.RigidBody):
         scene.sensor("velocity", fmbd.velocity(items[0]))
         scene.sensor("acceleration", fmbd.acceleration(items[0]))
+        scene.sensor("spin", fmbd.angular_velocity(items[0]))
     for name in scene.joints:
         scene.sensor(f"reaction {name}", fmbd.reaction_force(name))
     for pair in pairs:

@@ -43,7 +43,6 @@ static void own_compliance(System *s, Contacts *c, int m)
     const int d = c->components, n = m * d;
     memset(s->b, 0, (s->nu + s->rows) * sizeof(double));
     memset(c->known_of, 0, c->graph.groups * sizeof(int));
-    for (int b = 0; b < s->bodies; b++) memcpy(c->turns + D * D * b, s->frames + FRAME * b + TURN, D * D * sizeof(double));
     for (int k = 0; k < n; k++) {
         int trees[2];
         trees_of(c, c->closed[k / d], trees);

@@ -208,7 +208,7 @@ static int taken(System *s, Contacts *c, double *p, Block now, Block out, int m,
     if (touch(c, out.q, t + length, &c->aside)) return LOOK;
     if ((verdict = place(s, out.q, out.v))) return verdict;
     if (s->rows) {
-        closed_rates(s, out.v);
+        closed_rates(s, c, out.v);
         for (int i = 0; i < s->nv; i++) out.a[i] = (out.v[i] - now.v[i]) / length;
         if ((verdict = place(s, out.q, out.v))) return verdict;
     }

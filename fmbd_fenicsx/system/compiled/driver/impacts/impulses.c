@@ -16,16 +16,25 @@ static void swap_turns(System *s, Contacts *c)
     }
 }
 
-/* What forces of all closed contacts do, added to x and y; on velocities it is in c->push then. Forces that do nothing together,
-   since contacts depend on each other, do so at the turns of their rows only. */
+/* Moments on bodies in b, along the same axes of their bodies where the matrix is from: only so they balance those of contacts,
+   whose rows are from there too. */
+static void carry_moments(System *s, const Contacts *c)
+{
+    for (int b = 0; b < s->bodies; b++) {
+        double *moment = s->b + s->body[b].at_u + D, own[ROT];
+        to_body(s->frames + FRAME * b + TURN, moment, own);
+        to_world(c->turns + D * D * b, own, moment);
+    }
+}
+
+/* What forces of all closed contacts do, added to x and y; on velocities it is in c->push then. Bodies are turned as where the
+   matrix is from: forces that do nothing together, since contacts depend on each other, do so at the turns of their rows only. */
 static void add_push(System *s, Contacts *c, const double *f, double *x, double *y)
 {
     double *more = c->push + s->nv;
     memset(s->b, 0, (s->nu + s->rows) * sizeof(double));
-    swap_turns(s, c);
     for (int k = 0; k < c->all.m * c->components; k++) push_row(s, c, k, f[k]);
     solution(s, c->push, more);
-    swap_turns(s, c);
     add(x, 1.0, c->push, s->nv);
     add(y, 1.0, more, s->rows);
 }
@@ -160,20 +169,16 @@ static int evaluate_middle(System *s, Contacts *c, Part o, Block now, Block out,
     if (!anew && !(s->stiff && (s->bridged || other_slopes(s, 0.5 * o.h, 0.25 * o.h * o.h)))) return DONE;
 
     if ((verdict = prepare(s, out.q, 0.5 * o.h, 0.25 * o.h * o.h, now.lam, 0, o.middle))) return verdict;
+    for (int b = 0; b < s->bodies; b++) memcpy(c->turns + D * D * b, s->frames + FRAME * b + TURN, D * D * sizeof(double));
     if (c->all.m) own_compliance(s, c, c->all.m);
     return DONE;
 }
 
-/* Increments of velocities and multipliers (times h), x and y: those of the step without impulses, and what these add to it. */
-static int increments_with_impulses(System *s, Contacts *c, Part o, Block now, Block out, double *x, double *y)
+/* Increments of velocities and multipliers (times h), x and y: those for b without impulses, and what these add to it. */
+static int add_impulses(System *s, Contacts *c, Part o, Block out, double *x, double *y)
 {
     const int m = c->all.m, n = m * c->components, d = c->components, *closed = c->closed;
-    double *vm = s->work, *change = c->old;
-    take_middle(s, now, out, vm);
-    turn_velocity(s, vm);
-    if (s->rows) slips(s, 1);
-    for (int i = 0; i < s->nu; i++) s->b[i] = -o.h * s->residual[i];
-    for (int i = 0; i < s->rows; i++) s->b[s->nu + i] = -2.0 * s->slip[i];
+    double *change = c->old;
     solution(s, x, y);
     if (!m) return DONE;
 
@@ -191,6 +196,23 @@ static int increments_with_impulses(System *s, Contacts *c, Part o, Block now, B
     for (int k = 0; k < n; k++) change[k] = c->all.f[k] - change[k];
     add_push(s, c, change, x, y);
     return DONE;
+}
+
+/* The same from the residual evaluated last. */
+static int increments_with_impulses(System *s, Contacts *c, Part o, Block now, Block out, double *x, double *y)
+{
+    double *vm = s->work;
+    take_middle(s, now, out, vm);
+    turn_velocity(s, vm);
+    if (s->rows) slips(s, 1);
+    for (int i = 0; i < s->nu; i++) s->b[i] = -o.h * s->residual[i];
+    for (int i = 0; i < s->rows; i++) s->b[s->nu + i] = -2.0 * s->slip[i];
+
+    carry_moments(s, c);
+    swap_turns(s, c);
+    const int verdict = add_impulses(s, c, o, out, x, y);
+    swap_turns(s, c);
+    return verdict;
 }
 
 /* The step of length h with the closed contacts: velocities in out.v, multipliers in out.lam, impulses in c->all.f. */
@@ -238,6 +260,14 @@ static int velocities(System *s, Contacts *c, double *p, Block now, Block out, i
     return converged ? DONE : NEWTON;
 }
 
+/* What closes joints, for rows in b: along the axes that bodies have where the matrix is from. */
+static void closing(System *s, Contacts *c, double *x, double *y)
+{
+    swap_turns(s, c);
+    solution(s, x, y);
+    swap_turns(s, c);
+}
+
 /* Positions closed to roundoff by the matrix of the step. */
 static int closed_rows(System *s, Contacts *c, double *p, double *q, const double *v, double t)
 {
@@ -260,7 +290,7 @@ static int closed_rows(System *s, Contacts *c, double *p, double *q, const doubl
         if (widest <= 1e-13 * p[LENGTH]) break;
         memset(s->b, 0, s->nu * sizeof(double));
         for (int i = 0; i < s->rows; i++) s->b[s->nu + i] = -s->gap[i];
-        solution(s, x, y);
+        closing(s, c, x, y);
         configuration(s, q, x, moved);
         memcpy(q, moved, s->nq * sizeof(double));
     }
@@ -268,13 +298,13 @@ static int closed_rows(System *s, Contacts *c, double *p, double *q, const doubl
 }
 
 /* Velocities projected on those of the joints, by the matrix of the step; frames are placed at them. */
-static void closed_rates(System *s, double *v)
+static void closed_rates(System *s, Contacts *c, double *v)
 {
     double *x = s->work, *y = x + s->nv;
     slips(s, 1);
     memset(s->b, 0, s->nu * sizeof(double));
     for (int i = 0; i < s->rows; i++) s->b[s->nu + i] = -s->slip[i];
-    solution(s, x, y);
+    closing(s, c, x, y);
     add(v, 1.0, x, s->nv);
 }
 
