@@ -9,6 +9,7 @@ import numpy as np
 from ...rotations import Array
 from ..recording.recorder import Recorder
 
+WIDER = 1.0 + 1e-6  # impacts in the middle of steps are off by half of one, up to its ends
 BESIDE = 2  # records that an impact is thought to be on the wrong side of at most: of more, differences of runs tell
 
 
@@ -19,7 +20,7 @@ def instants_off(given: Recorder, other: Recorder, share: float) -> tuple[Array,
         return np.zeros(0), np.zeros(0)
     behind = np.searchsorted(there, at)
     near = np.minimum(*(np.abs(at - there[k.clip(0, len(there) - 1)]) for k in (behind, behind - 1)))
-    return at, share * near
+    return at, WIDER * share * near
 
 
 def jumps_at_records(

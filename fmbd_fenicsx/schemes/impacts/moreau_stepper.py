@@ -135,7 +135,7 @@ class MoreauStepper(ContactStepper):
         candidates(system, contacts, s, left)  # pairs surfaces anew, and refuses to pass through
         # too many impacts in one step: those that come are taken together at its middle
         if classical:
-            return self._classical(left)
+            return self._classical(left, h)
 
         reach = np.where(self.carrying, DRIFT, TOUCH) * system.length
         gap = contacts.touch(system, s.t, s.q).gap
@@ -206,8 +206,8 @@ class MoreauStepper(ContactStepper):
             slow[slow] = -rate <= SLOWLY * h * self.system.max_abs((step.v - s.v) / step.h)
         return (slow if self.rule.early else rests), rests
 
-    def _classical(self, left: float) -> MoreauStep:
-        """The rest of a step by classical time stepping.
+    def _classical(self, left: float, h: float) -> MoreauStep:
+        """The rest of a step h (s) by classical time stepping; an impact is somewhere about its middle.
 
         After many impacts a contact that is still open in the middle would pass into its obstacle by what a step moves, and stay
         there: it is closed too.
@@ -215,6 +215,8 @@ class MoreauStepper(ContactStepper):
         system, s = self.system, self.state
         middle = self.contacts.touch(system, s.t + left / 2, system.compose(s.q, 0.5 * left * s.v))
         closed = middle.gap <= 0.0
+        if (self._rates(closed, (s.t, s.q, s.v), h) < -SLOW * system.length / h).any():
+            self.struck.append(s.t + left / 2)
         while True:
             step = self._solved(left, closed, np.ones_like(closed))
             through = ~closed & (self._gap_along(step, 1.0) < -DRIFT * system.length)

@@ -187,19 +187,28 @@ static int slow_touches(System *s, Contacts *c, double *p, Block now, Block out,
     return kept;
 }
 
+/* Whether a contact whose rate is known approaches faster than resting ones do in steps h. */
+static int approaches(Contacts *c, const double *p, Block now, int i, double h)
+{
+    contact_rows(c, i, now.q, &c->now, c->rows);
+    return along(c, i, c->rows, now.v) + c->rate[i] < -APPROACH * p[LENGTH] / h;
+}
+
 /* The rest of a step by classical time stepping: contacts closed in the middle, and after many impacts those that would else end in
-   their obstacles, all with restitution. */
+   their obstacles, all with restitution. An impact is somewhere about the middle. */
 static int classical(System *s, Contacts *c, double *p, Block now, Block out, double left, double h)
 {
-    int m = 0, verdict, *closed = c->hits + c->points;
+    int m = 0, verdict, hit = 0, *closed = c->hits + c->points;
     for (int i = 0; i < s->nv; i++) c->xi[i] = 0.5 * left * now.v[i];
     configuration(s, now.q, c->xi, c->ahead);
     if (touch(c, c->ahead, *now.t + 0.5 * left, &c->aside)) return LOOK;
     for (int k = 0; k < c->candidates; k++) {
         const int i = c->candidate[k];
         c->bouncing[i] = 1;
-        closed[i] = c->aside.gap[i] <= 0.0;
+        m += closed[i] = c->aside.gap[i] <= 0.0;
     }
+    if (m && rates_known(c, now, h)) return LOOK;
+    for (int k = 0; k < c->candidates; k++) hit |= closed[c->candidate[k]] && approaches(c, p, now, c->candidate[k], h);
 
     for (int through = 1; through;) {
         m = through = 0;
@@ -214,6 +223,7 @@ static int classical(System *s, Contacts *c, double *p, Block now, Block out, do
             if (closed[i] <= 0 && c->aside.gap[i] < -DRIFTING * p[LENGTH]) through = closed[i] = c->bouncing[i] = 1;
         }
     }
+    if (hit) c->struck[c->tally.struck++ % STRUCK] = *now.t + 0.5 * left;
     return taken(s, c, p, now, out, m, left, h);
 }
 
