@@ -53,7 +53,7 @@ class DualInterface:
     def tie(self, slave, master, space):
         """Tie two surfaces (subdomain, surface); collective."""
         c = mortar(self.traces[slave], self.traces[master], space)
-        self._add(f"{slave}-{master}", (slave[0], c.slave_trace, c.slave), (master[0], c.master_trace, -c.master))
+        self._add(f"{slave}-{master}", (slave[0], c.multipliers.trace, c.slave), (master[0], c.master_trace, -c.master))
 
     def hold(self, surface, space):
         """Weak Dirichlet data on a surface; collective."""

@@ -42,7 +42,8 @@ def block():
     mesh = fmbd.read_gmsh("meshes/block.py", cells=CELLS, comm=MPI.COMM_SELF)
     field = Field("block", mesh, ElasticForms(fmbd.materials.linear_elastic(1.0, 0.3), 1.0, 1))
     M, K = (A[:, :] for A in (field.mass_matrix(), field.combination(0.0, 1.0)))
-    B = fmbd.Continuous().on(trace_of(field.space, mesh, "left")).local_coupling().toarray()
+    left = trace_of(field.space, mesh, "left")
+    B = left.columns(fmbd.Continuous().on(left).coupling()).toarray()
     return M, K, np.kron(B, np.eye(2)), np.kron(B.sum(1), [1.0, 0.0])  # d: a unit displacement in x
 
 

@@ -216,6 +216,11 @@ class DistributedPart(Part, Protocol):
         return False
 
     @property
+    def refactors(self) -> bool:
+        """Whether new tangents take a factor: these are dear (:mod:`fmbd_fenicsx.schemes.tangent_account`)."""
+        return False
+
+    @property
     def begins_anew(self) -> bool:
         """Whether a step takes a tangent where it is predicted, once steps take new ones: what an older one is off by would be an
         increment many times too large.

@@ -168,12 +168,14 @@ def _chatter(system: System) -> None:
 
 def _passed_over(system: System, t: float) -> None:
     """Laws of coordinates that do something between the places where steps have asked them."""
-    for x in (found for loads in system.forces for found in loads.passed_over(t)):
-        log.warning(
-            '"%s": its law, or road, goes to %.3g at s = %.6g, which steps pass over: they ask it at %.6g and %.6g. Runs that '
-            "tell errors may pass over it, too. Take a dt in which s moves less, also with steps of a scheme's own choice",
-            x.name, x.effort, x.at, *x.between,
-        )  # fmt: skip
+    for loads in system.forces:
+        for x in loads.passed_over(t):
+            log.warning(
+                '"%s": its law, or road, goes to %.3g at s = %.6g, which steps pass over: they ask it at %.6g and %.6g. Runs '
+                "that tell errors may pass over it, too. Take a dt in which s moves less, also with steps of a scheme's own "
+                "choice",
+                x.name, x.effort, x.at, *x.between,
+            )  # fmt: skip
 
 
 def _impacts(counters: Mapping[str, float]) -> None:

@@ -107,6 +107,11 @@ class AbsoluteField(FieldPart):
         return self.field.nonlinear
 
     @property
+    def refactors(self) -> bool:
+        """Always, where it takes new ones."""
+        return self.renewable
+
+    @property
     def begins_anew(self) -> bool:
         """Bodies whose pressure follows their volume: its stiffness holds motions that turn with them."""
         return self.field.mixed and self.foretells and not self.field.carried

@@ -198,6 +198,11 @@ class FloatingField(FieldPart):
         """Always: columns of inertia are taken anew."""
         return True
 
+    @property
+    def refactors(self) -> bool:
+        """Of a material with a constant stiffness columns of inertia alone are taken anew."""
+        return self.field.nonlinear or self.stiffening is not None
+
     def relinearise(
         self, motion: FrameMotion, local: tuple[Array, Array, Array], increment: Approach | None = None
     ) -> bool:

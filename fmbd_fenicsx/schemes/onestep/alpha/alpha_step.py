@@ -134,6 +134,7 @@ class AlphaStep:
         self.tolerance = newton.small(system, self.scale * system.typical(start.a), far)
         self.foretells = any(part.foretells for _, part in system.fields)  # new tangents are exact ones
         self.begins_anew = any(part.begins_anew for _, part in system.fields)
+        self.cost = TANGENT_COST * any(part.refactors for _, part in system.fields)
 
         # what it has found
         self.secants = Secants(system)
@@ -157,7 +158,7 @@ class AlphaStep:
             ahead=self.foretells,
             begun=begun,
             misfit=lambda: self.misfit,
-            cost=TANGENT_COST,
+            cost=self.cost,
         )
 
     @property

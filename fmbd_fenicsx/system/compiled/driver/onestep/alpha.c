@@ -99,7 +99,7 @@ static int strayed(const System *s, const double *p, const double *xi, double *b
 static int worth_tangents(const System *s, const double *p, double first, int done, int ahead, double left)
 {
     const int at_once = done == 1 && s->foretells && s->renewals > 1 + ahead && first > WORTH, slow = lingers(p, done, left);
-    if (!s->renewable || !slow || ahead) return s->renewable && (at_once || slow);
+    if (!s->renewable || !slow || ahead || !s->refactors) return s->renewable && (at_once || slow);
 
     const double made = done - log(left) / log(p[THETA]), more = p[FEWEST] > 0.0 ? fmax(made - p[FEWEST], 0.0) : 0.0;
     return made > p[MAXIT] - IN_RESERVE || p[WASTED] + more >= TANGENT_COST * p[NEW_TANGENT];
