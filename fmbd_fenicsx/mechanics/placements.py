@@ -217,7 +217,7 @@ class DistributedPart(Part, Protocol):
 
     @property
     def refactors(self) -> bool:
-        """Whether new tangents take a factor: these are dear (:mod:`fmbd_fenicsx.schemes.tangent_account`)."""
+        """Whether new tangents take a factor, and wait until increments have paid: :mod:`..schemes.tangent_account`."""
         return False
 
     @property

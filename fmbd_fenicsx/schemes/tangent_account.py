@@ -3,8 +3,9 @@
 A new tangent costs as much as 40 increments (its matrix and factor, on meshes of 8 to 900 hexahedra), so one is kept as long as
 steps end with it, until increments beyond the fewest of a step since it was taken have paid for another (as in ski rental: at
 most twice the least cost; Karlin et al., doi:10.1007/BF01762111). Where new ones never help, as beside vibrations that steps do
-not resolve, the fewest stay many, and nothing is paid in. Tangents that take no factor cost a few back-solves: they come as
-soon as a step asks for them.
+not resolve, the fewest stay many, and nothing is paid in. Tangents that take no factor cost a few back-solves, and absolute
+bodies with a stored energy are thrown far by old ones (a soft frame takes 162 increments in 20 steps, and 128 by new ones): these
+come as soon as a step asks for them.
 """
 
 from __future__ import annotations

@@ -108,8 +108,8 @@ class AbsoluteField(FieldPart):
 
     @property
     def refactors(self) -> bool:
-        """Always, where it takes new ones."""
-        return self.renewable
+        """Where it takes new ones; but increments by an old one throw bodies with a stored energy far, so theirs do not wait."""
+        return self.renewable and not self.foretells
 
     @property
     def begins_anew(self) -> bool:
