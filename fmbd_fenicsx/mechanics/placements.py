@@ -216,8 +216,8 @@ class DistributedPart(Part, Protocol):
         return False
 
     @property
-    def refactors(self) -> bool:
-        """Whether new tangents take a factor, and wait until increments have paid: :mod:`..schemes.tangent_account`."""
+    def keeps_tangents(self) -> bool:
+        """Whether tangents are kept until increments have paid for new ones: :mod:`..schemes.tangent_account`."""
         return False
 
     @property

@@ -128,6 +128,7 @@ def _warn(task: Task, problem: Problem, solver: StepSolver, marched: Marched, co
     limit = problem.said.turn_limit
     ends = problem.start, marched.state
     equal = first if schedule.steps else 0.0
+
     warn_of_doubts(scene, solver, marched.recorder, counters, ends, equal, remembers=limit is not None)
     warn_of_late_samples(scene, schedule)
     warn_of_short_tables(scene, schedule.begin, schedule.t_end)

@@ -16,7 +16,9 @@ from ..system.compiled.declarations import enumeration
 from ..system.serialisation import Remembering, plain
 
 SELDOM = enumeration("SELDOM", "onestep/alpha.c")["SELDOM"]  # steps in a row that begin with new ones at most
-FEW = 3.0  # increments that a step takes at least, where nothing is known yet
+FEW = enumeration("QUICK", "onestep/alpha.c")[
+    "QUICK"
+]  # increments that a step takes at least, where nothing is known yet
 
 
 class TangentAccount(Remembering):
@@ -30,7 +32,7 @@ class TangentAccount(Remembering):
     keeps: ClassVar = {"numbers": plain()}
 
     def __init__(self) -> None:
-        self.numbers = [FEW, 0.0, 0.0, 0.0]
+        self.numbers = [float(FEW), 0.0, 0.0, 0.0]
 
     @property
     def anew(self) -> float:

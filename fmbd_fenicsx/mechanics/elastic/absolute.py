@@ -107,8 +107,8 @@ class AbsoluteField(FieldPart):
         return self.field.nonlinear
 
     @property
-    def refactors(self) -> bool:
-        """Where it takes new ones; but increments by an old one throw bodies with a stored energy far, so theirs do not wait."""
+    def keeps_tangents(self) -> bool:
+        """Where it takes new ones; those of a stored energy do not wait, as increments by old ones throw such bodies far."""
         return self.renewable and not self.foretells
 
     @property

@@ -199,8 +199,8 @@ class FloatingField(FieldPart):
         return True
 
     @property
-    def refactors(self) -> bool:
-        """Of a material with a constant stiffness columns of inertia alone are taken anew."""
+    def keeps_tangents(self) -> bool:
+        """Where new ones take a factor: of a constant stiffness columns of inertia alone are taken anew."""
         return self.field.nonlinear or self.stiffening is not None
 
     def relinearise(

@@ -81,6 +81,8 @@ class Asked:
             ends = np.cumsum(gaps)
             if not ends.size or ends[-1] == 0.0:
                 continue
+
+            # places in the gaps, evenly on what these are together, and those beside them
             count = max(LOOKED_AT // self.n, FEWEST)
             way = (np.arange(count) + 0.5) / count * ends[-1]
             k = np.searchsorted(ends, way)
@@ -90,11 +92,14 @@ class Asked:
                 efforts = _efforts(law, np.concatenate((inside, x[beside])), t)
             except FmbdError:
                 continue
+
+            # how far the law rises above both ends of a gap, or falls below, more than these are themselves
             before, behind = (efforts[count + np.searchsorted(beside, i)] for i in (k, k + 1))
             over = np.maximum(
                 efforts[:count] - np.maximum(before, behind), np.minimum(before, behind) - efforts[:count]
             )
             over -= np.maximum(np.abs(before), np.abs(behind))
+
             i = int(over.argmax())
             at, between = float(inside[i]), (float(x[k[i]]), float(x[k[i] + 1]))
             if over[i] > SHARE * np.abs(efforts[count:]).max() and np.isclose(law.number(at, 0.0, t), efforts[i]):

@@ -134,7 +134,7 @@ class AlphaStep:
         self.tolerance = newton.small(system, self.scale * system.typical(start.a), far)
         self.foretells = any(part.foretells for _, part in system.fields)  # new tangents are exact ones
         self.begins_anew = any(part.begins_anew for _, part in system.fields)
-        self.cost = TANGENT_COST * any(part.refactors for _, part in system.fields)
+        self.cost = TANGENT_COST * any(part.keeps_tangents for _, part in system.fields)
 
         # what it has found
         self.secants = Secants(system)

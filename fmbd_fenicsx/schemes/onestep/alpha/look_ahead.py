@@ -141,7 +141,7 @@ class LookAhead:
 
     def _farthest(self, pushes: Array) -> Array:
         """The largest row, the same one on all ranks."""
-        return np.asarray(pushes[np.argmax([self.system.max_abs(push) for push in pushes])])
+        return np.asarray(pushes[self.system.each_max_abs(pushes).argmax()])
 
     def _lost(self, s: State, h: float, push: Array) -> float:
         """The norm of (4) for one force."""
@@ -150,6 +150,8 @@ class LookAhead:
         system, weights = self.system, self.weights(h)
         here, flown = Evaluation(system, s.t, s.q, s.v), Evaluation(system, s.t, system.compose(s.q, h * s.v), s.v)
         before = here.wrenches()
+
+        # where the force leads laws that go on as they are here
         with ExitStack() as straight:
             for loads in self.laws:
                 straight.enter_context(loads.straight(here.kin, s.t))
@@ -158,6 +160,8 @@ class LookAhead:
             end = replace(s, q=system.compose(s.q, h * s.v + x), v=s.v + weights.cd / weights.ck * x)
             led = Evaluation(system, s.t, end.q, end.v)
             foretold = led.wrenches()
+
+        # what they do not deliver there
         lost = led.spread(led.wrenches() - foretold)
         if system.max_abs(lost) == 0.0:
             return 0.0

@@ -56,11 +56,10 @@ from ....system.serialisation import Memory, Remembering, plain, worker
 from ....system.system import System
 from ...consistent import accelerations, behind_a_jump
 from ...newton import Newton
+from ...tangent_account import FEW, SELDOM
 from .steps_in_parts import NEAR, NOTHING, ROUNDOFF, StepsInParts
 
 WORTH = 8  # increments of a step that cost what new tangents do: their matrices, factors and columns
-SELDOM = 15  # steps between two trials at most
-FEW = 3  # increments that a step takes at least
 
 
 class TangentAge(Remembering):

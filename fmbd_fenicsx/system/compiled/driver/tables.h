@@ -389,7 +389,7 @@ typedef struct {
     int led;                           /* whether the matrix takes the efforts foretold: after an increment of a step */
     int renewable, foretells, begins, renewals; /* whether Python takes new tangents of fields in a step, where the last increment */
                                        /* led, and where it is predicted; how many the last step took */
-    int refactors;                     /* whether new tangents of fields take factors */
+    int keeps_tangents;                /* whether these are kept until increments have paid for new ones */
     Controllers *controllers;          /* NULL without any */
     Remembered *remembered;            /* NULL where no memory is found at points */
     int straight;                      /* whether laws count as their tangents at the last evaluation before */

@@ -25,7 +25,7 @@ from ...system import System
 from ..blocks import Block
 
 
-@answered_by("part", "renewable refactors foretells begins_anew mean_forces mean_force")
+@answered_by("part", "renewable keeps_tangents foretells begins_anew mean_forces mean_force")
 class RestingField(FieldPart):
     """An absolute field in a frame at rest; what is not linear of its forces stays with the field itself."""
 

@@ -244,7 +244,7 @@ class Tables(TableLayout):
             seen_angle=self.store.integers(np.isin(looks.markers, list(looks.angled))),
             readings=looks.count, row_dest=row_dest, sign=sign, renewable=int(any([part.renewable for part in parts])),
             foretells=int(any([part.foretells for part in parts])), begins=int(any([part.begins_anew for part in parts])),
-            refactors=int(any([part.refactors for part in parts])),
+            keeps_tangents=int(any([part.keeps_tangents for part in parts])),
             indefinite=int(any([field.indefinite for field in self.fields])),
             leaves_out=int(s.leaves_out), parts=self.parts_of_numbers, controllers=controllers,
             remembered=self.listening.remembered(integrals=integrals), **self._links(),

@@ -9,6 +9,7 @@ static const double BEST_RATE = 0.02; /* that a step without a second increment 
 static const double AS_NEW = 0.1;     /* of the tolerance: what a matrix of an earlier step may leave; its own leaves less than is told */
 enum { RENEWALS = 10 };               /* of tangents of fields in a step at most */
 enum { IN_RESERVE = 3 };              /* increments of a step that are left for those behind new tangents of fields */
+enum { QUICK = 3 };                   /* increments that a step takes at least, where nothing is known yet */
 enum { SELDOM = 15 };                 /* steps in a row that begin with new ones at most, before one is tried without */
 static const double TANGENT_COST = 8.0; /* of new ones, over that of as many increments as a step has patience for */
 enum { TELLING = 4 };                 /* increments whose rate tells the error, whatever pulls may have misled them */
@@ -99,7 +100,7 @@ static int strayed(const System *s, const double *p, const double *xi, double *b
 static int worth_tangents(const System *s, const double *p, double first, int done, int ahead, double left)
 {
     const int at_once = done == 1 && s->foretells && s->renewals > 1 + ahead && first > WORTH, slow = lingers(p, done, left);
-    if (!s->renewable || !slow || ahead || !s->refactors) return s->renewable && (at_once || slow);
+    if (!s->renewable || !slow || ahead || !s->keeps_tangents) return s->renewable && (at_once || slow);
 
     const double made = done - log(left) / log(p[THETA]), more = p[FEWEST] > 0.0 ? fmax(made - p[FEWEST], 0.0) : 0.0;
     return made > p[MAXIT] - IN_RESERVE || p[WASTED] + more >= TANGENT_COST * p[NEW_TANGENT];
@@ -113,7 +114,7 @@ static void settle(double *p, int made, int renewed)
         p[WAIT] = fmin(2.0 * p[WAIT] + 1.0, SELDOM);
         p[BEGIN_ANEW] = p[WAIT] + 1.0;
     }
-    if (renewed < 2 && made <= IN_RESERVE) p[BEGIN_ANEW] = fmax(p[BEGIN_ANEW] - 1.0, 0.0);
+    if (renewed < 2 && made <= QUICK) p[BEGIN_ANEW] = fmax(p[BEGIN_ANEW] - 1.0, 0.0);
     p[FEWEST] = renewed ? 0.0 : p[FEWEST] > 0.0 ? fmin(p[FEWEST], made) : made;
     p[WASTED] = renewed ? 0.0 : p[WASTED] + made - p[FEWEST];
 }
