@@ -138,8 +138,8 @@ def warn_of_halvings(counters: Mapping[str, float]) -> None:
         )  # fmt: skip
     elif back > 0:
         log.warning(
-            "%d of %d steps gained energy from nothing and were repeated in parts, without it: dt is too large for a stiff part "
-            "that turns. Compare with half of it", back, steps,
+            "%d of %d steps gained energy from nothing and were repeated in parts, without it: dt is too large for how fast "
+            "a part turns there, or how stiff it is. Compare with half of it", back, steps,
         )  # fmt: skip
 
 

@@ -1,7 +1,8 @@
 """Constant steps, made in parts where a whole one fails: one mechanism for all schemes.
 
 A step whose Newton iteration or linear solve fails is made in two halves, these again in halves, down to 1/64. So is one that
-gains energy from nothing (:mod:`.judges.energy_check`), down to 1/1024; all later steps are then made in parts of that size.
+gains energy from nothing (:mod:`.judges.energy_check`), down to 1/1024; later steps are then made in parts of that size as long
+as something moves half as fast as there.
 Steps that fail one after another are begun in halves: 1, 2, 4, ... of them, before the next one is tried whole.
 Recorded states stay on the grid of whole steps. A scheme remembers accelerations, past values or predictors of one step size, so
 before each change of size its worker is made anew from the consistent state nearest to the present one, as at the start of a run.
@@ -33,6 +34,7 @@ from .judges.force_balance import Balanced
 from .judges.forecast import Forecast
 
 DEPTH = 6  # times that a step that fails may be halved
+CALM = 0.5  # of the velocity at which a step gained energy, below which whole ones are tried again
 OWN_STEPS = (
     " A scheme that chooses its steps, scheme=fmbd.Radau(3, rtol=1e-6), makes short ones where a motion is sharp."
 )
@@ -79,7 +81,9 @@ class ConstantSteps(Around):
     keeps: ClassVar = {
         "stepper": worker,
         "watch": worker,
-        **dict.fromkeys(("halved", "whole", "failing", "_spell", "_rest", "_size", "local_error", "_past"), plain()),
+        **dict.fromkeys(
+            ("halved", "whole", "fast", "failing", "_spell", "_rest", "_size", "local_error", "_past"), plain()
+        ),
     }
 
     def __init__(
@@ -103,6 +107,7 @@ class ConstantSteps(Around):
         self.local_error = 0.0
         self.halved = 0  # steps and parts of steps that failed, or would have
         self.whole = 0  # halvings that every step gets since energy was gained
+        self.fast = 0.0  # the largest velocity there, in units of the model's length, m/s
         self.failing = 0  # further ones that steps begin with, as those before failed without
         self._spell, self._rest = 0, 0  # steps that begin so after the next failure, and those still to come
         self._failed = False  # whether the newest step did, as it began
@@ -177,6 +182,8 @@ class ConstantSteps(Around):
 
     def _foresee(self) -> None:
         """How many halvings the next step begins with, after whether the newest one failed with its own."""
+        if self.whole and self.system.max_abs(self.stepper.state.v) < CALM * self.fast:
+            self.whole -= 1
         if self._failed:
             if self._spell:  # not the first one in a row
                 self.failing, self._rest = self.failing + 1, self._spell
@@ -250,11 +257,11 @@ class ConstantSteps(Around):
         except (ConvergenceError, LinearSolveError) as error:
             return self._halves_of_failed(before, h, depth, error)
 
-        # one that gains energy from nothing is made in halves, and so are all later ones
+        # one that gains energy from nothing is made in halves, and so are later ones
         gain = None if self.watch is None else self.watch.gain(after, self._seen, energies)
         if self.watch is None or gain is None:
             return self._accept(after)
-        self.whole, self.failing = depth + 1, 0
+        self.whole, self.failing, self.fast = depth + 1, 0, self.system.max_abs(before.v)
         self.watch.count(before, gain, self.whole > HALVINGS)
         return self._halves(h, depth, before)
 

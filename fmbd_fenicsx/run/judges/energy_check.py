@@ -137,8 +137,8 @@ class Watch(Remembering):
         if stop:
             raise ConvergenceError(
                 f"The step at t = {before.t:.6g} s gains {gain:.3g} J from nothing, also in 1/{2**HALVINGS} of the step: the "
-                "scheme does not follow a stiff part that turns, or one so stiff, with millions of periods in a step, that the "
-                "roundoff of its places moves it. Take a much smaller dt, fmbd.EnergyMomentum() or fmbd.Radau()."
+                "scheme does not follow a part that is fast, or stiff and turns, or one so stiff, with millions of periods in a "
+                "step, that the roundoff of its places moves it. Take a much smaller dt, fmbd.EnergyMomentum() or fmbd.Radau()."
             )
 
 
