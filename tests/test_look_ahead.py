@@ -84,6 +84,18 @@ def test_loads_that_stay_as_they_are_are_not_solved_for(monkeypatch: pytest.Monk
         assert stepper.look.loads(stepper.state, 0.1, 8) == 0.0
 
 
+@pytest.mark.parametrize("size", [1e-3, 1.0, 1e3])
+def test_moments_are_compared_with_forces_by_the_length_of_the_model(size: float) -> None:
+    """In any unit of length the same one of both is the largest."""
+    scene = fmbd.Scene("arm")
+    arm = fmbd.RigidBody("arm", 1.0, 0.1 * size**2, (size, 0.0))
+    scene.add(arm, fmbd.revolute("axle", fmbd.ground, arm, center=(0, 0)))
+    look = stepper_of(scene, fmbd.Index3()).look
+    force, moment = np.array([0.0, 2.0, 0.0]), np.array([0.0, 0.0, look.system.length])
+    np.testing.assert_array_equal(look._farthest(np.array([moment, force])), force)
+    np.testing.assert_array_equal(look._farthest(np.array([3.0 * moment, force])), 3.0 * moment)
+
+
 def test_only_what_may_push_in_time_is_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
     """A state that is held has the same forces at all times, unless a load, a law, gravity or a row that turns says otherwise."""
 

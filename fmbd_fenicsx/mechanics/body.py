@@ -134,6 +134,11 @@ class Body:
         return None
 
     @property
+    def nonlinear(self) -> bool:
+        """Whether its displacements have an energy, whose stiffness changes with them, and no bilinear form."""
+        return False
+
+    @property
     def may_do_work(self) -> bool:
         """Whether it may put energy into a scene: by loads, or by equations of a user's own."""
         return False

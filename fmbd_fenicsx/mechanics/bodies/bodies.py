@@ -252,7 +252,7 @@ class ElasticBody(Body):
             (self.elastic is None) != (self.energy is None),
             f'Body "{n}": give either elastic(u, v, dx), a bilinear form, or energy(u, dx), in J.',
         )
-        given = self.elastic if self.energy is None else self.energy
+        given = self.elastic_law
         require(
             callable(given), f'Body "{n}": elastic must be a function (u, v, dx) -> UFL form, energy one of (u, dx).'
         )
@@ -268,7 +268,7 @@ class ElasticBody(Body):
         if self.quadrature is not None:
             whole(f"{what}: quadrature", self.quadrature, least=1)
         require(
-            not isinstance(self.viscous, ViscousForm) or (isinstance(self, AbsoluteBody) and self.energy is not None),
+            not isinstance(self.viscous, ViscousForm) or (isinstance(self, AbsoluteBody) and self.nonlinear),
             f'Body "{n}": a ViscousForm needs an AbsoluteBody with an energy. Else give viscous(u, v, dx), bilinear in the rate.',
         )
         number(f"{what}: mass_damping", self.mass_damping, least=0.0, unit="1/s")
@@ -291,7 +291,12 @@ class ElasticBody(Body):
     @property
     def elastic_law(self) -> Any:
         """The form or energy given."""
-        return self.elastic if self.energy is None else self.energy
+        return self.energy if self.nonlinear else self.elastic
+
+    @property
+    def nonlinear(self) -> bool:
+        """An energy is given."""
+        return self.energy is not None
 
     @property
     def may_do_work(self) -> bool:

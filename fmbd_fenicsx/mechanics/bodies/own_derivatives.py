@@ -16,10 +16,9 @@ from typing import Any
 import numpy as np
 
 from ...rotations import Array
-from ..kinds.jets import Jet, jet
+from ..kinds.jets import COMPLEX_STEP, Jet, jet
 from ..kinds.time_derivatives import AGREES, OUTSIDE, STEPS, Best, search
 
-_STEP = 1e-30
 SAME = 1e-4  # of a slope: what two ways to find it may differ by
 NOTHING = 1e-20  # of the largest slope: what a complex step leaves where there is none
 GOOD = 1e-10  # of a slope: an error of differences that need not be looked into
@@ -50,12 +49,12 @@ def derivative_many(function: Callable[[Any, Any], Any], x: Array, t: Array) -> 
     k, n = x.shape
     z = np.repeat(x.T.astype(complex)[:, None], n, axis=1)  # (n, directions, k)
     # direction j moves coordinate j
-    z[range(n), range(n)] += 1j * _STEP
+    z[range(n), range(n)] += 1j * COMPLEX_STEP
     # a function that drops the imaginary part would give zeros: an error instead
     with warnings.catch_warnings():
         warnings.simplefilter("error", np.exceptions.ComplexWarning)
         found = np.asarray(function(z.reshape(n, n * k), np.tile(t, (n, *(1,) * (t.ndim - 1)))), dtype=complex)
-    return np.imag(found.reshape(-1, n, k)).transpose(2, 0, 1) / _STEP
+    return np.imag(found.reshape(-1, n, k)).transpose(2, 0, 1) / COMPLEX_STEP
 
 
 def differences(function: Function, x: Array) -> Array:
@@ -162,8 +161,8 @@ def _complex_slopes(function: Function, x: Array, ways: Array) -> Array:
     """d function(x + s v) / ds at s = 0 for each v of some ways, (k, m), by complex steps."""
     with warnings.catch_warnings():
         warnings.simplefilter("error", np.exceptions.ComplexWarning)  # an imaginary part dropped on the way
-        found = [np.asarray(function(z), dtype=complex).reshape(-1).imag for z in x + 1j * _STEP * ways]
-    return np.array(found) / _STEP
+        found = [np.asarray(function(z), dtype=complex).reshape(-1).imag for z in x + 1j * COMPLEX_STEP * ways]
+    return np.array(found) / COMPLEX_STEP
 
 
 class ValuesOnLine:

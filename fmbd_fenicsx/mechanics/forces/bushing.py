@@ -22,10 +22,10 @@ from ...errors import InputError, require
 from ...rotations import Array, Motions, hat, spin_matrix, tangent_inverse
 from ..frames import Kinematics
 from ..joints.joints import dimension
+from ..kinds.jets import COMPLEX_STEP
 from .force_elements import Loads, MarkerTangent
 from .forces import Force
 
-_STEP = 1e-30
 _SMALL = 1e-4  # squared sine below which the rotation vector comes from its series
 
 
@@ -147,7 +147,7 @@ class BushingLoads(Loads):
         B = self._relative(p)[1]
 
         # derivatives by complex steps: both markers moved and turned about each axis
-        h = 1j * _STEP
+        h = 1j * COMPLEX_STEP
         xa, xb, Ra, Rb = (np.repeat(x[None].astype(complex), 2 * n, axis=0) for x in (p.xa, p.xb, p.Ra, p.Rb))
         for k in range(n):
             for x, R, at in ((xa, Ra, k), (xb, Rb, n + k)):
@@ -157,7 +157,7 @@ class BushingLoads(Loads):
                     spin = spin_matrix(np.eye(m.n_rot)[k - d])
                     R[at] += h * spin @ R[at].real
 
-        K = -self._forces(_Pose(xa, Ra, xb, Rb), twist).imag / _STEP
+        K = -self._forces(_Pose(xa, Ra, xb, Rb), twist).imag / COMPLEX_STEP
         return MarkerTangent(self.markers, np.moveaxis(K, 0, -1), np.swapaxes(B, 1, 2) @ self.C @ B)
 
 

@@ -19,13 +19,13 @@ import numpy as np
 
 from ...errors import AGREEMENTS, FmbdError, named
 from ...rotations import Array
+from ..kinds.jets import COMPLEX_STEP
 from ..kinds.time_derivatives import along
 from .passed_over import Asked, PassedOver
 from .user_laws import checked_number
 
 ROAD = "road(x, t), which is asked for one height at x, all coordinates of the wheel's centre,"
-TINY = 1e-30  # s, of complex steps
-IMAGINARY = complex(0.0, TINY)
+IMAGINARY = complex(0.0, COMPLEX_STEP)
 STEP, SHORT = 1e-5, 1e-7  # of differences and of (z(s) - z(0)) / s: shares of the radius
 SLOW = 1e-2
 WRONG, DROPPED = 1e-6, 1e-5  # of radius and speed: what heights and rates may differ by, at first and later
@@ -137,9 +137,9 @@ class Roads:
         speed = max(radius, *map(abs, components))  # of a radius in a second at least
         s = SHORT * radius / speed
         try:
-            z = self.tyres[i].road(x + IMAGINARY * v, np.complex128(complex(t, TINY)))
+            z = self.tyres[i].road(x + IMAGINARY * v, np.complex128(complex(t, COMPLEX_STEP)))
             z = complex(z.item() if isinstance(z, np.ndarray) else z)
-            height, rate = z.real, z.imag / TINY
+            height, rate = z.real, z.imag / COMPLEX_STEP
             plainly = (self.height(i, x + s * v, t + s) - height) / s
         except Exception:
             return None

@@ -28,10 +28,10 @@ from ...errors import AGREEMENTS, CallbackError, named, require
 from ...log import log
 from ...rotations import Array, Motions, quaternion_exp, quaternion_matrix, spin_matrix
 from .expressions import ZERO
+from .jets import COMPLEX_STEP
 from .python_kinds import Answers, At, PythonKind
 from .time_derivatives import rates
 
-TINY = 1e-30  # complex steps
 STEP = 1e-5  # of differences: a share of the length, rad
 DROPPED = 1e-5  # relative: derivatives that differ by more are not those of the function
 LOOKERS = frozenset(("locals", "vars", "dir", "eval", "exec", "_getframe"))  # functions that read arguments unseen
@@ -145,8 +145,8 @@ class AskedFunction(Answers):
                 return self._differences(poses, t, together)
             with warnings.catch_warnings():
                 warnings.simplefilter("error", np.exceptions.ComplexWarning)  # an imaginary part dropped on the way
-                x, R = (x[..., None] + d for x, d in self._stepped(poses, 1j * TINY))
-                return self._columns((x, R), t, together).imag / TINY
+                x, R = (x[..., None] + d for x, d in self._stepped(poses, 1j * COMPLEX_STEP))
+                return self._columns((x, R), t, together).imag / COMPLEX_STEP
         except Exception:
             if not (by_complex or together):
                 raise

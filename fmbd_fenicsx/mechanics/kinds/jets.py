@@ -13,6 +13,9 @@ import numpy as np
 
 from .expressions import of_scalars
 
+# h of derivatives Im f(x + i h) / h, exact to roundoff (Squire and Trapp, doi:10.1137/S003614459631241X)
+COMPLEX_STEP = 1e-30
+
 
 class Jet:
     """A number x(t) with its first and second derivative, a jet of second order; a time t itself is (t, 1, 0)."""

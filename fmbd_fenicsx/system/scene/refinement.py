@@ -117,7 +117,7 @@ def _degree_is_dear(body: Body) -> bool:
     """Whether elements of half the size cost less than those of a higher degree: the tangents of a nonlinear energy are taken at
     so many points of cubic ones that a run in space takes three times as long.
     """
-    return body.displacement_degree != 1 and getattr(body, "energy", None) is not None
+    return body.displacement_degree != 1 and body.nonlinear
 
 
 def refined(scene: Scene) -> Scene:

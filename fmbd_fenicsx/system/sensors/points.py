@@ -152,7 +152,7 @@ class PointStrain(PointSensor):
         H = np.swapaxes(self.displacements(system, q), -1, -2) @ self.found(system).point.gradient
         Ht = np.swapaxes(H, -1, -2)
         strain = 0.5 * (H + Ht)
-        if not isinstance(self.body, ReducedBody) and self.body.energy is not None:
+        if self.body.nonlinear:
             strain = strain + 0.5 * Ht @ H
         return np.stack([strain[..., i, j] for i, j in PAIRS[len(self.at)]], axis=-1)
 

@@ -107,7 +107,7 @@ class LookAhead:
         ends = np.concatenate((looked[:, 0], forces[-1:]))
         jumps = np.diff(ends, axis=0)
 
-        way = self._at_most(s, h, 0.5 * h * h * _largest(jumps), self._way)
+        way = self._at_most(s, h, 0.5 * h * h * self._farthest(jumps), self._way)
         if way > 1.0:
             return way
 
@@ -115,7 +115,7 @@ class LookAhead:
         between = looked[:, 1:] - ends[:-1, None] - np.array(LOOKS)[:, None] * jumps[:, None]
         # what the ends of the step differ by is seen by the error of the step
         unseen = np.sign(between) * np.maximum(np.abs(between) - np.abs(jumps[:, None]), 0.0)
-        largest = h * h / 6.0 * _largest(unseen.reshape(-1, forces.shape[1]))
+        largest = h * h / 6.0 * self._farthest(unseen.reshape(-1, forces.shape[1]))
         self.norm.update(s, h)
         missed = self._at_most(s, h, largest, lambda e: self._error(h, e))
         return worst(missed, self._giving_way(s, h, forces[0] - forces))
@@ -140,8 +140,9 @@ class LookAhead:
             return np.inf  # a law of the user's own that ends there
 
     def _farthest(self, pushes: Array) -> Array:
-        """The largest row, the same one on all ranks."""
-        return np.asarray(pushes[self.system.each_max_abs(pushes).argmax()])
+        """The largest of forces (k, n_v), moments over the length of the model; the same one on all ranks."""
+        forces = pushes / self.system.units**2  # units, once more, make lengths of increments
+        return np.asarray(pushes[self.system.each_max_abs(forces).argmax()])
 
     def _lost(self, s: State, h: float, push: Array) -> float:
         """The norm of (4) for one force."""
@@ -193,8 +194,3 @@ def _shares(steps: int) -> Array:
     """Where in so many steps loads and drives are looked at, in steps; the ends of all are among these."""
     each = np.array([0.0, *LOOKS])
     return np.append((np.arange(float(steps))[:, None] + each).ravel(), steps)
-
-
-def _largest(forces: Array) -> Array:
-    """The row with the largest entry."""
-    return np.asarray(forces[np.abs(forces).max(axis=1, initial=0.0).argmax()])

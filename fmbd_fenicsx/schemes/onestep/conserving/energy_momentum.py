@@ -181,9 +181,9 @@ def _refused(body: Any) -> str:
             "AbsoluteBody, a ReducedBody (energy not kept), or GeneralizedAlpha."
         )
     law = body.elastic_law
-    if isinstance(law, MixedEnergy) or (body.energy is not None and not isinstance(law, StoredEnergy)):
+    if isinstance(law, MixedEnergy) or (body.nonlinear and not isinstance(law, StoredEnergy)):
         return f'Body "{body.name}": EnergyMomentum needs a StoredEnergy W(C), such as saint_venant_kirchhoff(...).'
-    if body.stiffness_damping and body.energy is not None:
+    if body.stiffness_damping and body.nonlinear:
         return (
             f'Body "{body.name}": stiffness_damping does not go with EnergyMomentum and an energy: it would change the '
             "angular momentum of strained bodies. Use viscous=fmbd.materials.kelvin_voigt(...)."

@@ -157,37 +157,15 @@ static int find_openings(ElasticContact *o, const Contacting *k, const Touch *at
     return DONE;
 }
 
-/* Forces on the rows, out of the residuals evaluated last. */
-static void push_residuals(System *s, const ElasticContact *o, const double *f)
-{
-    const Contacts *c = o->contacts;
-    const double *row = o->rows;
-
-    for (int r = 0; r < c->components * o->count; r++, row += WIDE)
-        for (int side = 0; side < 2; side++) {
-            const int i = o->near[r / c->components], on = c->on[2 * i + side];
-            const Side k = side_of(o, i, side);
-            const double *twist = row + 2 * D + side * TWIST;
-            double turning[ROT];
-
-            for (int e = 0; e < k.count; e++)
-                add(k.body->field->force + node_at(&k, e) - k.body->at_v, -f[r] * k.weight[e], row + D * side, D);
-            if (on < 0) continue;
-            to_world(s->frames + FRAME * on + TURN, twist + D, turning);
-            add(s->residual + s->body[on].at_u, -f[r], twist, D);
-            add(s->residual + s->body[on].at_u + D, -f[r], turning, ROT);
-        }
-}
-
 /* The solution with the forces on the rows so far. */
 static int solve_so_far(System *s, const ElasticContact *o, const Contacting *k, double *x, double *y)
 {
     const double *f = o->problem->all.f;
     if (k->b) {
-        add_pushes(o, k->scale, f, k->b);
+        add_pushes(s, o, k->scale, f, k->b);
         return driver_solve(s, 1, o->factored, k->b, k->open, x, y);
     }
-    push_residuals(s, o, f);
+    add_pushes(s, o, -1.0, f, NULL);
     return increment(s, k->scale, x, y, k->t);
 }
 

@@ -113,17 +113,29 @@ static double row_times(const ElasticContact *o, int i, const double *row, const
     return sum;
 }
 
-/* b += factor L^T f, like v. */
-static void add_pushes(const ElasticContact *o, double factor, const double *f, double *b)
+/* b += factor L^T f, like v; NULL: the residuals evaluated last. */
+static void add_pushes(System *s, const ElasticContact *o, double factor, const double *f, double *b)
 {
     const Contacts *c = o->contacts;
     const double *row = o->rows;
+
     for (int r = 0; r < c->components * o->count; r++, row += WIDE)
         for (int side = 0; side < 2; side++) {
             const int i = o->near[r / c->components], on = c->on[2 * i + side];
             const Side k = side_of(o, i, side);
-            for (int e = 0; e < k.count; e++) add(b + node_at(&k, e), factor * f[r] * k.weight[e], row + D * side, D);
-            if (on >= 0) add(b + TWIST * on, factor * f[r], row + 2 * D + TWIST * side, TWIST);
+            const double push = factor * f[r], *twist = row + 2 * D + TWIST * side;
+            double *nodes = b || !k.count ? b : k.body->field->force - k.body->at_v;
+
+            for (int e = 0; e < k.count; e++) add(nodes + node_at(&k, e), push * k.weight[e], row + D * side, D);
+            if (on < 0) continue;
+            if (b) {
+                add(b + TWIST * on, push, twist, TWIST);
+                continue;
+            }
+            double turning[ROT];
+            to_world(s->frames + FRAME * on + TURN, twist + D, turning);
+            add(s->residual + s->body[on].at_u, push, twist, D);
+            add(s->residual + s->body[on].at_u + D, push, turning, ROT);
         }
 }
 
@@ -133,7 +145,7 @@ static int pushed(System *s, const ElasticContact *o, double scale, const double
     double *b = o->room, *none = b + 3 * s->nv + s->nq;
     memset(b, 0, s->nv * sizeof(double));
     memset(none, 0, s->rows * sizeof(double));
-    add_pushes(o, scale, f, b);
+    add_pushes(s, o, scale, f, b);
     return driver_solve(s, 1, o->factored, b, none, x, y ? y : none + s->rows);
 }
 
