@@ -174,7 +174,7 @@ def test_tangents_serve_many_steps(
     """A bar that falls by 17 degrees in 50 steps in parts: its tangent turns with it, that of a linear form is constant."""
     from fmbd_fenicsx.schemes.onestep.conserving import elastic_momentum, energy_momentum
 
-    monkeypatch.setattr(energy_momentum.TangentAge, "apart", True)
+    monkeypatch.setattr(energy_momentum.TangentAccount, "otherwise", True)
 
     law = (
         {"energy": saint_venant_kirchhoff(1e5, 0.3)} if large else {"elastic": fmbd.materials.linear_elastic(1e5, 0.3)}

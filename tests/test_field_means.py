@@ -14,7 +14,8 @@ from test_mixed_momentum import free
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.linear.condensation import StepSolver
 from fmbd_fenicsx.materials import kelvin_voigt, linear_elastic, neo_hookean, saint_venant_kirchhoff
-from fmbd_fenicsx.schemes.onestep.conserving.energy_momentum import EnergyMomentumStepper, TangentAge
+from fmbd_fenicsx.schemes.onestep.conserving.energy_momentum import WORTH, EnergyMomentumStepper
+from fmbd_fenicsx.schemes.tangent_account import TangentAccount
 from fmbd_fenicsx.system.compiled.choice import use_driver
 from fmbd_fenicsx.system.compiled.tables.bodies.fields import FieldTable
 from fmbd_fenicsx.system.layout import State
@@ -152,20 +153,20 @@ def test_a_linear_body_has_one_tangent(rod_mesh: Callable[..., Any]) -> None:
 
 def test_tangents_are_old_when_they_have_cost_what_new_ones_do() -> None:
     """Increments beyond the fewest count; tangents that do not serve at all are tried after 1, 3, 7 .. further steps."""
-    age = TangentAge()
+    account = TangentAccount()
     for made in (3, 5, 5, 5):
-        age.take(made, renewed=False)
-        assert not age.due
-    age.take(6, renewed=False)
-    assert age.due
-    age.take(6, renewed=True)  # which cannot be better
-    age.take(6, renewed=False)
-    assert not age.due
+        account.take(made, renewed=False)
+        assert account.wasted_by(0) < WORTH
+    account.take(6, renewed=False)
+    assert account.wasted_by(0) >= WORTH
+    account.take(6, renewed=True)  # which cannot be better
+    account.take(6, renewed=False)
+    assert account.wasted_by(0) < WORTH
 
     tried = []
     for step in range(20):
-        if not age.apart:
+        if not account.otherwise:
             tried.append(step)
-            age.failed()
-        age.pass_by()
+            account.failed()
+        account.pass_by()
     assert tried == [0, 2, 6, 14]

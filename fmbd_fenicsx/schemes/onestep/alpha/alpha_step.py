@@ -151,7 +151,7 @@ class AlphaStep:
 
     def solve(self) -> tuple[bool, list[float]]:
         """Iterate; whether it converged, and the history of increments over the tolerance."""
-        begun = self.begins_anew and self.newton.account.anew > 0 and self._begin_anew()
+        begun = self.begins_anew and self.newton.account.otherwise and self._begin_anew()
         return self.newton.solve(
             self._increment,
             self._renew,

@@ -197,8 +197,8 @@ class AlphaStepper(TimeStepper):
             plain = replace(start, a=self._predict(rule, evens=False)[0])
             if self.system.max_abs(plain.a - start.a) > 0.0:
                 yield plain  # leaps may be where a body snaps through
-        if not self.newton.account.anew and any(part.begins_anew for _, part in self.system.fields):
-            self.newton.account.begin_anew()
+        if not self.newton.account.otherwise and any(part.begins_anew for _, part in self.system.fields):
+            self.newton.account.failed()
             yield start
 
     def _damped(self, rule: Rule) -> Array | None:

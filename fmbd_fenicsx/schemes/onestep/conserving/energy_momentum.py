@@ -56,51 +56,10 @@ from ....system.serialisation import Memory, Remembering, plain, worker
 from ....system.system import System
 from ...consistent import accelerations, behind_a_jump
 from ...newton import Newton
-from ...tangent_account import FEW, SELDOM
+from ...tangent_account import TangentAccount
 from .steps_in_parts import NEAR, NOTHING, ROUNDOFF, StepsInParts
 
 WORTH = 8  # increments of a step that cost what new tangents do: their matrices, factors and columns
-
-
-class TangentAge(Remembering):
-    """What tangents of fields have cost so far: increments of steps beyond the fewest that were enough since they were taken. New
-    ones are worth it as soon as these have paid for them.
-
-    Where they do not serve steps at all, as for those that turn bodies far, they are tried more and more seldom: after 1, 2, 4 ..
-    further ``steps``.
-    """
-
-    keeps: ClassVar = dict.fromkeys(("fewest", "lost", "steps", "wait"), plain())
-
-    def __init__(self) -> None:
-        self.fewest, self.lost = FEW, 0
-        self.steps = self.wait = 0
-
-    @property
-    def due(self) -> bool:
-        """Whether new ones are worth it."""
-        return self.lost >= WORTH
-
-    @property
-    def apart(self) -> bool:
-        """Whether the next step does without them."""
-        return self.steps > 0
-
-    def failed(self) -> None:
-        """They did not serve a step."""
-        self.wait = min(2 * self.wait + 1, SELDOM)
-        self.steps = self.wait + 1
-
-    def pass_by(self) -> None:
-        """A step was made without them."""
-        self.steps = max(self.steps - 1, 0)
-
-    def take(self, increments: int, *, renewed: bool) -> None:
-        """A step with so many increments; ``renewed``: by tangents taken in it, which are as good as they can be."""
-        self.wait = 0
-        if renewed:
-            self.fewest, self.lost = increments, 0
-        self.lost += max(increments - self.fewest, 0)
 
 
 LONGEST = 3  # means that are kept
@@ -199,7 +158,7 @@ class EnergyMomentumStepper(StepsInParts):
         "state": Memory.state,
         **dict.fromkeys(("_kept", "counters"), plain()),
         "past": worker,
-        "age": worker,
+        "account": worker,
     }
     counters: dict[str, float] = {}
 
@@ -207,7 +166,7 @@ class EnergyMomentumStepper(StepsInParts):
         super().__init__(system, solver, newton, state)
         self.past = PastMeans(state.t, state.a, state.lam, rigid=bool(system.fields))
         self._rigid: Array | None = None  # mean accelerations of bodies that move on rigidly, where these may be needed
-        self.age = TangentAge()
+        self.account = TangentAccount()
         self.counters = {}
         self._warned = False  # of large turns
 
@@ -234,23 +193,23 @@ class EnergyMomentumStepper(StepsInParts):
         guess = self._guess(h, ends)
 
         # in compiled code first, but for a step that was found in parts before
-        tried = driver is not None and means is not None and not self.age.apart and self._in_one_call(h)
+        tried = driver is not None and means is not None and not self.account.otherwise and self._in_one_call(h)
         if tried:
             assert driver is not None and means is not None
-            found = means.step((s.t, s.q, s.v), h, guess, ends, old=self.age.due)
+            found = means.step((s.t, s.q, s.v), h, guess, ends, old=self.account.wasted_by(0) >= WORTH)
             self.newton.iterations += len(found.sizes)
             self.solver.core.factorisations += driver.new_factors()
             if found.end is not None:
                 self._note(found.sizes)
-                self.age.take(len(found.sizes), renewed=found.renewed)
+                self.account.take(len(found.sizes), renewed=found.renewed)
                 self._kept = None
                 return self._take(h, (found.a, found.lam), found.end)
 
             if self.system.fields:
-                self.age.failed()
+                self.account.failed()
             elif np.isfinite(found.a).all():
                 guess = found.a, found.lam
-        self.age.pass_by()
+        self.account.pass_by()
         return self._take(h, *self._in_parts(h, guess, ends, differences=tried))
 
     def _in_one_call(self, h: float) -> bool:
