@@ -5,9 +5,11 @@ from __future__ import annotations
 import ast
 import sys
 from collections.abc import Callable
+from dataclasses import is_dataclass
 from functools import cache
 from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 
 
 @cache
@@ -41,6 +43,14 @@ def attach(package: str, file: str) -> tuple[Callable[[str], object], Callable[[
             import_module(f"{folder.rstrip('.')}.{original}", package)
 
         found = getattr(place, original)
+        classes = [
+            x for x in (found, *(vars(found).values() if isinstance(found, ModuleType) else ())) if is_dataclass(x)
+        ]
+        if classes:
+            from .checks import telling
+
+            for kind in classes:
+                telling(kind)
         vars(sys.modules[package])[name] = found
         return found
 

@@ -18,11 +18,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, fields, is_dataclass
 from functools import cache, wraps
 from numbers import Integral, Real
+from types import FunctionType
 from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 
-from .errors import InputError, near
+from .errors import CallError, InputError, near, nearest
 from .hints import classes_of, hint_of, home_of, is_function, options_of
 
 P = ParamSpec("P")
@@ -250,8 +251,9 @@ def typed(make: Callable[P, T]) -> Callable[P, T]:
     def checked(*args: P.args, **kwargs: P.kwargs) -> T:
         try:
             values = bound(args, kwargs)
-        except TypeError as error:  # without the function's name
-            raise TypeError(f"{title}(): {error}. It takes {_taken(signature)}.") from None
+        except TypeError:
+            refuse_unfitting(title, signature, args, kwargs)
+            raise
 
         label = _label(title, values)
 
@@ -272,6 +274,33 @@ def typed(make: Callable[P, T]) -> Callable[P, T]:
         return make(*args, **kwargs)
 
     return checked
+
+
+def telling(kind: Any) -> None:
+    """Let a dataclass refuse arguments that it does not take as functions with :func:`typed` do."""
+    own = vars(kind).get("__init__")
+    if not isinstance(own, FunctionType) or "__wrapped__" in vars(own):  # told already
+        return
+
+    @wraps(own)
+    def begin(self: Any, *args: Any, **kwargs: Any) -> None:
+        try:
+            own(self, *args, **kwargs)
+        except TypeError:
+            refuse_unfitting(kind.__name__, inspect.signature(kind), args, kwargs)
+            raise
+
+    kind.__init__ = begin
+
+
+def refuse_unfitting(title: str, signature: inspect.Signature, args: Sequence[Any], kwargs: Mapping[str, Any]) -> None:
+    """One sentence for a call that does not fit a signature, with what it takes; nothing for others."""
+    try:
+        signature.bind(*args, **kwargs)
+    except TypeError as error:  # without the function's name
+        unknown = next((name for name in kwargs if name not in signature.parameters), None)
+        hint = nearest(unknown, list(signature.parameters)) if unknown else ""
+        raise CallError(f"{title}(): {error}. {hint}It takes {_taken(signature)}.") from None
 
 
 def _binder(signature: inspect.Signature) -> Callable[[tuple[Any, ...], dict[str, Any]], Mapping[str, Any]]:

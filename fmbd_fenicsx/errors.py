@@ -6,13 +6,14 @@ Each message says what happened, where (body, joint, time), what was found and w
 from __future__ import annotations
 
 import difflib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 __all__ = [
     "BalanceError",
+    "CallError",
     "CallbackError",
     "CheckpointError",
     "ConstraintError",
@@ -80,6 +81,10 @@ class PartsError(StabilityError):
     """Steps of a run had to be made in more parts than it may take: smaller ones cost less."""
 
 
+class CallError(InputError, TypeError):
+    """A function or class was called with arguments that it does not take, or without some that it needs."""
+
+
 class CallbackError(InputError):
     """A function given by the user returned something unusable."""
 
@@ -117,11 +122,15 @@ def near(name: str, known: Iterable[str]) -> str:
     known = list(known)
     if name in known:
         return f'The "{name}" that is there is another object: pass that one.'
+    listed = ", ".join(f'"{k}"' for k in known) or "none"
+    return f"{nearest(name, known)}Known: {listed}."
+
+
+def nearest(name: str, known: Sequence[str]) -> str:
+    """A question for the known name that is closest to one, ``Did you mean "pin"? ``; nothing where none is close."""
     same = [k for k in known if k.casefold() == name.casefold()]
     close = same or difflib.get_close_matches(name, known, n=3, cutoff=0.5)
-    hint = f'Did you mean "{close[0]}"? ' if close else ""
-    listed = ", ".join(f'"{k}"' for k in known) or "none"
-    return f"{hint}Known: {listed}."
+    return f'Did you mean "{close[0]}"? ' if close else ""
 
 
 class Told(dict[str, Any]):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -49,8 +50,56 @@ def test_what_is_neither_is_refused(law: Any) -> None:
 
 def test_a_mistyped_argument_is_named_with_its_function() -> None:
     body, _ = arm()
-    with pytest.raises(TypeError, match=r"^ball\(\): .*'centre'. It takes body, radius; by name: center.$"):
+    with pytest.raises(
+        TypeError, match=r"^ball\(\): .*'centre'. Did you mean \"center\"\? It takes body, radius; by name: center.$"
+    ):
         C.ball(body, 0.1, centre=(0, 0))  # type: ignore[call-arg]
+
+
+@pytest.mark.parametrize(
+    ("make", "told"),
+    [
+        (
+            lambda: fmbd.RigidBody("b", 1.0, 1.0, angle=0.1),
+            r"^RigidBody\(\): .*'angle'. It takes name, mass, .*, shape.$",
+        ),
+        (lambda: fmbd.RigidBody("b"), r"^RigidBody\(\): missing a required argument: 'mass'. It takes "),
+        (lambda: fmbd.Radau(stage=3), r"^Radau\(\): .*'stage'. Did you mean \"stages\"\? It takes stages, "),
+        (lambda: fmbd.contacts.HalfSpace((0, 0), (0, 1), depth=1.0), r"^HalfSpace\(\): .*'depth'. It takes "),
+        (lambda: fmbd.solve(dropped(), dt=1e-3), r"^solve\(\): .*'t_end'. It takes scene; by name: t_end, dt, "),
+        (lambda: fmbd.study.map(lambda x: dropped(), [1], dt=1e-3), r"^study.map\(\): .*'t_end'. It takes "),
+        (
+            lambda: fmbd.study.map(lambda x: dropped(), [1], t_end=1.0, dtt=1e-3),
+            r"'dtt'. Did you mean \"dt\"\? It takes ",
+        ),
+    ],
+)
+def test_classes_and_runs_say_what_they_take(make: Callable[[], Any], told: str) -> None:
+    with pytest.raises(InputError, match=told) as found:
+        make()
+    assert isinstance(found.value, TypeError)
+
+
+def test_what_fails_within_a_call_that_fits_is_raised_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*given: Any) -> None:
+        raise TypeError("within")
+
+    monkeypatch.setattr(fmbd.RigidBody, "_check_start", fail)
+    with pytest.raises(TypeError, match="^within$"):
+        arm()
+
+
+def test_a_sensor_takes_a_body_by_its_name() -> None:
+    scene = dropped()
+    scene.sensor("height", fmbd.position("ball", point=(2.0, 0.2)))
+    scene.sensor("turn", fmbd.rotation("ball"))
+    scene.sensor("spin", fmbd.angular_velocity("ball"))
+    run = fmbd.solve(scene, t_end=1e-2, dt=1e-3)
+    assert run["height"][0] == pytest.approx([2.0, 0.2]) and run["turn"].shape == run["spin"].shape == (11, 1)
+    with pytest.raises(InputError, match='"bal" is not among the bodies of the scene. Did you mean "ball"'):
+        scene.sensor("speed", fmbd.velocity("bal"))
+    with pytest.raises(InputError, match=r"connects 'ball'; expected .* say scene.bodies\['ball'\]."):
+        fmbd.force("push", "ball", (1.0, 0.0))
 
 
 def dropped() -> Any:

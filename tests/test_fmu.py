@@ -186,6 +186,9 @@ def test_names_that_a_unit_would_have_twice_are_refused(tmp_path: Path) -> None:
 
 
 def test_bad_input_is_named(tmp_path: Path) -> None:
+    (tmp_path / "torn.py").write_text("def scene(:\n")
+    with pytest.raises(fmbd.errors.InputError, match='Script ".*torn.py" failed: SyntaxError: .*line 1'):
+        fmbd.write_fmu(tmp_path / "torn.py", tmp_path / "out", dt=1e-3)
     pytest.importorskip("pythonfmu3")
     with pytest.raises(InputError, match="there is no script"):
         fmbd.write_fmu(tmp_path / "none.py", tmp_path, dt=1e-2)

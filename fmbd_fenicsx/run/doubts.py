@@ -60,10 +60,11 @@ def warn_of_doubts(
     """
     start, end = ends
     system = solver.system
-    if recorder.energies and isolated(scene, system):
-        _growth(system, recorder.energy, recorder.times, start)
-    if recorder.energies and lossless(scene, system):
-        _loss(recorder.energy, recorder.times)
+    energy, times = recorder.energy, recorder.times
+    if energy and isolated(scene, system):
+        _growth(system, energy, times, start)
+    if energy and lossless(scene, system):
+        _loss(energy, times)
 
     # what tells of wrong places comes before what tells of their rates
     _open_joints(recorder)

@@ -15,11 +15,12 @@ import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from inspect import signature
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..checks import function, refuse
+from ..checks import function, refuse, refuse_unfitting
 from ..errors import FmbdError, InputError, LawError, near, require
 from ..kernel_cache import cores
 from ..ranks import world_size
@@ -154,6 +155,8 @@ def run_variants(
         settings.get("checkpoint") is None and settings.get("restart") is None,
         "study.map: checkpoints are of one run alone. Loop over solve() with a folder for each variant.",
     )
+    of_run = signature(solve)
+    refuse_unfitting("study.map", of_run.replace(parameters=[*of_run.parameters.values()][1:]), (), settings)
     output = settings.setdefault("output", Output(progress=False))
     one = _kept if keep_failures else _one
     first = one(make, given[0], settings)

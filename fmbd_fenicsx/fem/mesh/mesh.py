@@ -20,7 +20,7 @@ import numpy as np
 
 from ... import dolfinx_compat as compat
 from ...checks import instance, number, vector, word, words
-from ...errors import InputError, MeshError, near
+from ...errors import InputError, MeshError, named, near
 from ...ranks import together
 from ...rotations import motions
 from .checks import Checked, check_model, name_of_volumes
@@ -321,7 +321,7 @@ def _load(
         spec = importlib.util.spec_from_file_location(f"fmbd_mesh_{path.stem}", path)
         assert spec is not None and spec.loader is not None
         module = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(module)
+        named("Mesh script", str(path), spec.loader.exec_module, time=None)(module)
 
         if not hasattr(module, "build"):
             raise MeshError(f"Mesh script {path} has no function build(gmsh, **parameters).")

@@ -117,7 +117,7 @@ class RigidBody(Body):
         except InputError as error:
             raise error if str(error).startswith(what) else InputError(f"{what}: {error}") from None
         require(
-            not (self._twist.any() and self.locked),
+            not (self.locked and self._twist.any()),
             f"{what} is locked and stays where it is: leave out its velocity, or locked=True.",
         )
 

@@ -110,8 +110,9 @@ def refuse_no_attachment(side: Any, what: str) -> None:
         raise InputError(
             f'{what}: attach to a surface of the elastic body "{side.name}", say {side.name}.surface("...").'
         )
+    by_name = f", say scene.bodies[{side!r}]" if isinstance(side, str) else ""
     raise InputError(
-        f"{what} connects {shown(side)}; expected a rigid body, a surface of an elastic body, or fmbd.ground."
+        f"{what} connects {shown(side)}; expected a rigid body, a surface of an elastic body, or fmbd.ground{by_name}."
     )
 
 

@@ -16,7 +16,7 @@ from math import inf
 from pathlib import Path
 from typing import Any
 
-from ...errors import FmbdError, InputError, require
+from ...errors import FmbdError, InputError, named, require
 from ...run.co_simulation import Unit
 from ...system.scene.scene import Scene
 
@@ -56,7 +56,7 @@ def load(script: Path) -> Callable[[], Scene]:
     spec = importlib.util.spec_from_file_location(f"fmu_of_{script.stem}", script)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    named("Script", str(script), spec.loader.exec_module, time=None)(module)
     make = vars(module).get("scene")
     require(callable(make), f"{script} has no function scene() that returns a fmbd.Scene.")
     return make  # type: ignore[return-value]

@@ -12,6 +12,7 @@ from functools import wraps
 from typing import Any, ParamSpec, TypeVar
 
 from ...agreement import refuse_differing
+from ...checks import refuse_unfitting
 from ...notices import Runs
 from ...ranks import world_size
 from .described import described
@@ -45,6 +46,9 @@ def alike(call: Callable[P, T]) -> Callable[P, T]:
         Runs.begun += not within
         try:
             return call(*args, **kwargs)
+        except TypeError:
+            refuse_unfitting(call.__name__, signature, args, kwargs)
+            raise
         finally:
             Runs.within = within
 

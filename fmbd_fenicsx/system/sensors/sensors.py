@@ -322,9 +322,14 @@ def reaction_torque(joint: Any) -> Sensor:
     return ReactionWrench(None, "N m", None, named_part("reaction_torque: joint", joint), True)
 
 
-def _motion(kind: type[Sensor], on: Any, point: Sequence[float] | None, unit: str) -> Sensor:
-    """The sensor of a kind on what bears a marker; of a material point where ``on`` is an elastic body itself, with a point."""
-    what = kind.__name__.lower()
+def _motion(what: str, kind: type[Sensor], on: Any, unit: str, point: Sequence[float] | None = None) -> Sensor:
+    """The sensor of a kind on what bears a marker, a body also by its name; of a material point where ``on`` is an elastic body
+    itself, with a point.
+    """
+    if isinstance(on, str):
+        return OfNamed(
+            None, unit, make=lambda body: _motion(what, kind, body(on), unit, point), parts="bodies", name=on
+        )
     if point is not None and not isinstance(on, Surface | RigidBody | Ground):
         from .points import is_elastic, point_motion
 
@@ -339,33 +344,31 @@ def _motion(kind: type[Sensor], on: Any, point: Sequence[float] | None, unit: st
 
 def position(on: Any, *, point: Sequence[float] | None = None) -> Sensor:
     """World position (m): of a point of a rigid body (world coordinates at the start), of a surface's mean, or of a material
-    point of an elastic body (``on`` the body itself, ``point`` in its mesh as it was placed).
+    point of an elastic body (``on`` the body itself, ``point`` in its mesh as it was placed). A body may be given by its name.
     """
-    return _motion(Position, on, point, "m")
+    return _motion("position", Position, on, "m", point)
 
 
 def velocity(on: Any, *, point: Sequence[float] | None = None) -> Sensor:
     """World velocity (m/s), as :func:`position`."""
-    return _motion(Velocity, on, point, "m/s")
+    return _motion("velocity", Velocity, on, "m/s", point)
 
 
 def acceleration(on: Any, *, point: Sequence[float] | None = None) -> Sensor:
     """World acceleration (m/s^2), as :func:`position`; of the state that the scheme ends the step with."""
-    return _motion(Acceleration, on, point, "m/s^2")
+    return _motion("acceleration", Acceleration, on, "m/s^2", point)
 
 
 def rotation(on: Any | Surface) -> Sensor:
     """Rotation of a body or surface since the start: in the plane the angle (rad), counted over revolutions but for surfaces of
     bodies without a frame, in space the matrix (9 numbers).
     """
-    refuse_no_attachment(on, "rotation")
-    return Rotation(on, "rad")
+    return _motion("rotation", Rotation, on, "rad")
 
 
 def angular_velocity(on: Any | Surface) -> Sensor:
     """Angular velocity (rad/s) of a body or of a surface's mean, world axes: one number in the plane, three in space."""
-    refuse_no_attachment(on, "angular_velocity")
-    return AngularVelocity(on, "rad/s")
+    return _motion("angular_velocity", AngularVelocity, on, "rad/s")
 
 
 def reaction(joint: Any) -> Sensor:

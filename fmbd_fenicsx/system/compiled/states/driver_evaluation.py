@@ -55,7 +55,8 @@ class DriverEvaluation(_Constraints, Evaluation):
         """Whether this is the same state."""
         if self.t != t or (self.v is None) != (v is None):
             return False
-        return bool((self.q == q).all()) and (v is None or bool((self.v == v).all()))
+        same = np.logical_and.reduce  # the method all() of arrays is a call of Python
+        return bool(same(self.q == q)) and (v is None or bool(same(self.v == v)))
 
     def again(self) -> DriverEvaluation:
         """The same state for someone else, with all that is known of it but the forces."""
