@@ -131,6 +131,13 @@ def test_who_factors_and_why(rod_mesh: Callable[..., Any], monkeypatch: pytest.M
 
 
 @pytest.mark.mpi
+@pytest.mark.parametrize("definite", [True, False])
+def test_a_factor_is_freed_with_the_last_that_holds_it(rod_mesh: Callable[..., Any], definite: bool) -> None:
+    """Factors are made by the hundred in one run: PETSc counts one holder while a factor is in use, and none afterwards."""
+    made = PetscFactor(rod_field(rod_mesh, 2).combination(1e6, 1.0), definite, "")
+    assert made.matrix.getRefCount() == 1
+
+
 def test_the_plan_of_a_run_tells_the_solver(rod_mesh: Callable[..., Any]) -> None:
     rod = elastic_rod(rod_mesh(dim=2, h=0.3, height=0.2))
     scene = fmbd.Scene("pendulum", gravity=(0, -9.81))

@@ -14,15 +14,13 @@ from typing import Any
 
 import numpy as np
 
-from ..log import log
 from ..rotations import Array
 from ..schemes.declared import Declared
 from ..system.compiled.choice import use_driver
 from ..system.layout import State
 from ..system.scene.scene import Scene
 from ..system.system import System
-from .accuracy.companion_runs import UNFIT
-from .accuracy.jumps_in_time import SEEN, HeldState, all_along, jumps_in_time, loads_vary
+from .accuracy.jumps_in_time import SEEN, HeldState, all_along, as_held, jumps_in_time, loads_vary
 from .judges.energy_check import closed
 from .named_times import named_times
 from .schedule import StepSchedule, far_side, near_side
@@ -72,20 +70,18 @@ def seeing_loads(schedule: StepSchedule, scheme: Any, scene: Scene, system: Syst
     return replace(schedule, marks=tuple(sorted({*schedule.marks, *known[2]})))
 
 
-def _marks(schedule: StepSchedule, scheme: Any, scene: Scene, system: System, state: State) -> list[float]:
+@as_held
+def _marks(schedule: StepSchedule, scheme: Any, scene: Scene, system: System, state: State) -> tuple[float, ...]:
     """Where steps of a scheme's own choice end beside break points, s; see :func:`seeing_loads`."""
     said = Declared.by(scheme)
     if said.compiled:  # as its steps do
         use_driver(system)
-    try:
-        even = OF_FIELDS if system.fields else LOOKED_AT
-        found = _all_comings(scene, HeldState(system, state), schedule, even, by_names=said.looks_ahead)
-    except UNFIT as error:
-        log.info("loads to come are not looked for: %s", error)
-        return []
-    return [t for x in found if x.goes or not said.looks_ahead for t in x.marks]
+    even = OF_FIELDS if system.fields else LOOKED_AT
+    found = _all_comings(scene, HeldState(system, state), schedule, even, by_names=said.looks_ahead)
+    return tuple(t for x in found if x.goes or not said.looks_ahead for t in x.marks)
 
 
+@as_held
 def loads_ahead(
     scene: Scene, scheme: Any, system: System, state: State, schedule: StepSchedule, within: float = FEW_STEPS
 ) -> tuple[float, ...]:

@@ -173,7 +173,6 @@ class PetscFactor:
         except PETSc.Error as error:
             raise IndefiniteError(f"PETSc error {error.ierr}") from error
         self.matrix = ksp.getPC().getFactorMatrix()
-        self.matrix.incRef()
         self.address = np.array([self.matrix.handle], dtype=np.uint64)
         self._x, self._b = E.createVecs()
         ksp.destroy()

@@ -236,7 +236,10 @@ def mode_deviations(coarse: Recorder, fine: Recorder) -> dict[str, Deviation]:
 def state_errors(run: Run, problem: Problem, made: Compared, output: Output) -> None:
     """The estimates that were asked for; collective."""
     ended = clock.perf_counter()
-    jumps = _jumps_within(run, made.schedule) if output.estimate_error else ()
+    jumps: tuple[float, ...] = ()
+    if output.estimate_error:
+        jumps = loads_ahead(run.scene, run.scheme, run.system, run.state, made.schedule, PASSED)
+        jumps = jumps or jumps_about_kinks(run, made.schedule, run.series)
 
     if output.estimate_error and not made.schedule.steps:
         ending = replace(made.schedule, stops=tuple(sorted({*made.schedule.stops, *jumps})))
@@ -268,18 +271,6 @@ def state_errors(run: Run, problem: Problem, made: Compared, output: Output) -> 
         run.deviations["space"], run.space_unstated = space_error(problem, made)
         run.seconds["space estimate"] = clock.perf_counter() - ended
     warn_of_uncertain(run, run.series)
-
-
-def _jumps_within(run: Run, schedule: StepSchedule) -> tuple[float, ...]:
-    """Instants (s) within the steps of a run at which loads or drives jump, or come and go; none where they have no value in the
-    state that is held; collective.
-    """
-    try:
-        seen = loads_ahead(run.scene, run.scheme, run.system, run.state, schedule, PASSED)
-        return seen or jumps_about_kinks(run, schedule, run.series)
-    except UNFIT as error:
-        log.info("jumps of loads are not looked for: %s", error)
-        return ()
 
 
 def _tell_jumps(run: Run, jumps: tuple[float, ...]) -> None:

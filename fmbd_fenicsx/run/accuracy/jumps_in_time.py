@@ -7,12 +7,14 @@ halves of an interval with a jump one holds nearly all of the change, however of
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
-from typing import Protocol
+from functools import wraps
+from typing import ParamSpec, Protocol
 
 import numpy as np
 
+from ...log import log
 from ...rotations import Array
 from ...schemes.declared import Declared
 from ...system.compiled.choice import use_driver
@@ -23,6 +25,7 @@ from ..judges.energy_check import closed
 from ..result import Run
 from ..schedule import SIDE, StepSchedule, far_side, near_side
 from .certificate import about_kinks, struck_or_sampled
+from .companion_runs import UNFIT
 
 MOST, USUAL = 1000, 100  # intervals of a run that are looked at, at most, and where steps are not known
 HALVINGS = 64  # to roundoff of any time, from any interval
@@ -32,6 +35,23 @@ SEEN = 1e-7  # change over the largest force, speed or acceleration below which 
 UNEVEN = 0.3  # share of the change in an interval that its neighbours do not tell, from which on it may hold a jump
 SAMPLED = 8  # one in so many of the others is looked at, too
 AT_ONCE = 2e6  # numbers of an evaluation at many instants
+
+
+Given = ParamSpec("Given")
+
+
+def as_held(find: Callable[Given, tuple[float, ...]]) -> Callable[Given, tuple[float, ...]]:
+    """What finds instants (s) with a state held: none where loads and drives have no value in it."""
+
+    @wraps(find)
+    def found(*given: Given.args, **more: Given.kwargs) -> tuple[float, ...]:
+        try:
+            return find(*given, **more)
+        except UNFIT as error:
+            log.info("where loads jump, or come and go, is not looked for: %s", error)
+            return ()
+
+    return found
 
 
 class TimeRows(Protocol):
@@ -189,6 +209,7 @@ def loads_vary(scene: Scene, system: System) -> bool:
     return not (struck_or_sampled(scene) or closed(scene, system, ramped=True))
 
 
+@as_held
 def jumps_about_kinks(run: Run, schedule: StepSchedule, sensors: Iterable[str]) -> tuple[float, ...]:
     """Jumps within the equal steps of a run about the kinks of some sensors: those of slow motion in large steps are not seen;
     collective.

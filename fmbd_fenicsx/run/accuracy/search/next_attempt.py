@@ -13,18 +13,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ....errors import InputError, require
-from ....log import log
 from ....schemes.error_norm import FINEST
-from ....system.layout import State
 from ....system.scene.refinement import cheap_levels, expected_rate, meshed_bodies, modal_bodies, refined, slender
 from ....system.scene.scene import Scene
-from ....system.system import System
 from ...loads_ahead import loads_ahead
 from ...recording.output import Output
 from ...result import Run
 from ...schedule import StepSchedule, step_schedule
 from ..certificate import FLOOR, KINDS, Certificate, moving
-from ..companion_runs import UNFIT
 from ..deviation import Deviation
 from ..equal_steps import NEAREST, Orders
 from ..estimates import usual_power
@@ -287,16 +283,7 @@ def jumps_before(plan: AttemptPlan, shared: SharedSpaces) -> tuple[float, ...]:
     if meshed_bodies(plan.scene):
         return ()
     built = shared.ahead(plan.scene)
-    return _ahead(plan, built.system, built.given)
-
-
-def _ahead(plan: AttemptPlan, system: System, state: State) -> tuple[float, ...]:
-    """See :func:`.loads_ahead`; none where loads have no value in the state that is held; collective."""
-    try:
-        return loads_ahead(plan.scene, plan.scheme, system, state, plan.schedule)
-    except UNFIT as error:
-        log.info("jumps of loads are not looked for: %s", error)
-        return ()
+    return loads_ahead(plan.scene, plan.scheme, built.system, built.given, plan.schedule)
 
 
 def jumps_within(plan: AttemptPlan, run: Run, tol: Tolerance, *, first: bool) -> tuple[float, ...]:
@@ -304,7 +291,7 @@ def jumps_within(plan: AttemptPlan, run: Run, tol: Tolerance, *, first: bool) ->
     collective.
     """
     slow = first and bool(meshed_bodies(plan.scene))
-    seen = _ahead(plan, run.system, run.state) if slow else ()
+    seen = loads_ahead(plan.scene, plan.scheme, run.system, run.state, plan.schedule) if slow else ()
     return seen or jumps_about_kinks(run, plan.schedule, tol)
 
 
