@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
@@ -55,7 +55,32 @@ def model_to_mesh(model: Any, comm: Any, dim: int) -> tuple[Any, Any, Any]:
     msh, cells, facets = reader.model_to_mesh(model, comm, 0, gdim=dim, partitioner=_partitioner(mesh))[:3]
     if facets is not None and comm.allreduce(len(facets.values)) == 0:
         facets = None
-    return msh, cells, facets
+    return _mesh_of(msh._cpp_object, msh.ufl_domain().ufl_coordinate_element()), cells, facets
+
+
+@cache
+def _domain() -> Any:
+    """UFL's mesh, which makes its cell once. Basix makes one whenever it is asked, a hexahedron of 147 cells within each other;
+    spaces and forms of a body ask forty times.
+    """
+    import ufl
+
+    class Domain(ufl.Mesh):  # type: ignore[misc]
+        @cached_property
+        def _cell(self) -> Any:
+            return super().ufl_cell()
+
+        def ufl_cell(self) -> Any:
+            return self._cell
+
+    return Domain
+
+
+def _mesh_of(made: Any, element: Any) -> Any:
+    """DOLFINx's mesh around one of C++ with this element of its coordinates."""
+    from dolfinx import mesh
+
+    return mesh.Mesh(made, _domain()(element))
 
 
 def _partitioner(mesh: Any) -> Any:
@@ -74,8 +99,7 @@ def coordinate_element(geometry: Any) -> Any:
 
 def moved(msh: Any, x: np.ndarray) -> Any:
     """A mesh with the topology of another and the points x (n, d) in place of its own."""
-    import ufl
-    from dolfinx import cpp, mesh
+    from dolfinx import cpp
 
     old = msh.geometry._cpp_object
     element = coordinate_element(old)
@@ -83,7 +107,26 @@ def moved(msh: Any, x: np.ndarray) -> Any:
         old.index_map(), geometry_dofmap(msh), element, np.ascontiguousarray(x), old.input_global_indices
     )
     made = cpp.mesh.Mesh_float64(msh.comm, msh.topology._cpp_object, geometry)
-    return mesh.Mesh(made, ufl.Mesh(msh.ufl_domain().ufl_coordinate_element()))
+    return _mesh_of(made, msh.ufl_domain().ufl_coordinate_element())
+
+
+def of_simplices(domain: Any) -> bool:
+    """Whether the cells of UFL's mesh are simplices."""
+    told = domain.ufl_cell().is_simplex
+    return bool(told() if callable(told) else told)  # 0.9 has a function of that name
+
+
+def space_like(known: Any, msh: Any) -> Any:
+    """A function space on another mesh of the same topology, with the same numbers of nodes."""
+    from dolfinx import fem
+
+    inner = known._cpp_object
+    given = msh._cpp_object, inner.element, inner.dofmap
+    try:
+        made = type(inner)(*given)
+    except TypeError:
+        made = type(inner)(*given, inner.value_shape)  # 0.9
+    return fem.FunctionSpace(msh, known.ufl_element(), made)
 
 
 def geometry_dofmap(msh: Any) -> np.ndarray:

@@ -428,6 +428,26 @@ def test_reader_asks_for_usable_libraries(monkeypatch: pytest.MonkeyPatch) -> No
         read_gmsh("meshes/rod.py", h=0.5)
 
 
+def test_a_further_body_of_a_mesh_numbers_no_nodes(
+    rod_mesh: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nor does it make more than a few cells, of which a tetrahedron is made with 74 others."""
+    from dolfinx import fem
+
+    mesh, cells, spaces = rod_mesh(dim=3, h=0.5, height=0.2), [], []
+    anew, space = ufl.Cell.__init__, fem.functionspace
+    monkeypatch.setattr(ufl.Cell, "__init__", lambda cell, name: cells.append(name) or anew(cell, name))
+    monkeypatch.setattr(fem, "functionspace", lambda *given: spaces.append(given) or space(*given))
+
+    for place in (0.0, 2.0):
+        cells.clear(), spaces.clear()
+        scene = fmbd.Scene("one")
+        scene.add(elastic_rod(mesh.placed((0.0, place, 0.0))))
+        scene.build()
+    assert not spaces
+    assert len(cells) <= 4 * 75
+
+
 def test_shapes_too_small_for_the_kernel_say_so() -> None:
     """Nanometres are drawn in larger units."""
     with pytest.raises(MeshError, match=r"block\.py: .*OpenCASCADE.*below 1e-7.*scale="):

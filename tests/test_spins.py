@@ -124,6 +124,18 @@ def test_the_attitude_of_a_mesh_does_not_matter() -> None:
     assert bounds == pytest.approx([bounds[0]] * 3, rel=1e-6)
 
 
+def test_a_bound_of_frequencies_is_two_products() -> None:
+    """One by one quadratic displacements took a tenth of the start of a small body."""
+    scene = fmbd.Scene("free")
+    scene.add(blade("floating")[0])
+    field, asked = scene.build()[0].part("blade")[1].field, []
+    of_stiffness, of_mass = field.stiffness, field.mass_columns
+    field.stiffness = lambda U: asked.append(U.shape) or of_stiffness(U)
+    field.mass_columns = lambda U: asked.append(U.shape) or of_mass(U)
+    first_eigenvalue_bound(field)
+    assert len(asked) == 2
+
+
 def test_steps_that_are_tried_only_tell_nothing() -> None:
     """A clamped blade shaken from side to side never turns; half-explicit steps that are rejected turn it by chance."""
     body, root, tip = blade("reduced")

@@ -16,8 +16,8 @@ class ElasticForms:
     """What a user says of an elastic body: density, degree, Rayleigh damping, and its elasticity.
 
     Either the bilinear form ``elastic(u, v, dx)``, or an ``energy(u, dx)`` in J, not quadratic in general. ``quadrature`` is the
-    degree of the quadrature of both (None: what UFL estimates). ``viscous(u, v, dx)`` is the form of Kelvin-Voigt damping in
-    the rate u, or a :class:`~fmbd_fenicsx.energies.ViscousForm` of displacement and rate.
+    degree of the quadrature of both (None: see :mod:`.energy_quadrature`). ``viscous(u, v, dx)`` is the form of Kelvin-Voigt
+    damping in the rate u, or a :class:`~fmbd_fenicsx.energies.ViscousForm` of displacement and rate.
     """
 
     elastic: Callable[[Any, Any, Any], Any] | None

@@ -20,7 +20,7 @@ from ..errors import InputError
 from ..rotations import Array
 from .assembly import NodalVector, product
 from .elastic_forms import ElasticForms
-from .energy_quadrature import integrated
+from .energy_quadrature import elastic_measure, integrated
 from .field_checks import check_field
 from .given_numbers import GivenNumbers
 from .loads import AppliedLoads
@@ -51,8 +51,7 @@ class Field(NodalField):
         super().__init__(name, mesh, forms)
 
         # elasticity, without stress to begin with
-        dx = mesh.dx
-        self.elastic_measure = dx if forms.quadrature is None else dx(metadata={"quadrature_degree": forms.quadrature})
+        self.elastic_measure = elastic_measure(mesh.dx, forms.degree, forms.quadrature)
         self._elastic_form(self.elastic_measure)
         self.K = fp.create_matrix(self.stiffness_form, "baij")
         self.tangents = -1
@@ -112,9 +111,7 @@ class Field(NodalField):
             what = "energy(u, dx) did not give a UFL form of rank 0"
             self._w = fem.Function(self.space)
             density = self.forms.energy
-            energy, self.elastic_measure = integrated(
-                lambda dx: density(self._w, dx), dx, degree=self.forms.degree, chosen=self.forms.quadrature is not None
-            )
+            energy, self.elastic_measure = integrated(lambda dx: density(self._w, dx), dx, degree=self.forms.degree)
             residual = ufl.derivative(energy, self._w, v)
             self._energy_form, self._residual = compat.form(energy), NodalVector(compat.form(residual))
             self.stiffness_form = compat.form(ufl.derivative(residual, self._w, u))

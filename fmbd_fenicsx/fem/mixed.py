@@ -72,7 +72,7 @@ class MixedField(Field):
                 f'Body "{self.name}": displacement and pressure need degree 2 or more, found {degree}: P1 with P1 is not stable.'
             )
 
-        Q = fem.functionspace(self.mesh.dolfinx, ("Lagrange", degree - 1))
+        Q = self.mesh.space(degree - 1)
         self.pressure = Q
         self._w, self._p = fem.Function(self.space), fem.Function(Q)
         u = ufl.TrialFunction(self.space)
@@ -81,12 +81,7 @@ class MixedField(Field):
         q = ufl.TestFunction(Q)
 
         try:
-            energy, self.elastic_measure = integrated(
-                lambda dx: self._energy(self._w, self._p, dx),
-                dx,
-                degree=degree,
-                chosen=self.forms.quadrature is not None,
-            )
+            energy, self.elastic_measure = integrated(lambda dx: self._energy(self._w, self._p, dx), dx, degree=degree)
 
             force = ufl.derivative(energy, self._w, v)
             balance = ufl.derivative(energy, self._p, q)

@@ -144,20 +144,18 @@ class NodalField:
     def __init__(self, name: str, mesh: Any, forms: ElasticForms) -> None:
         import dolfinx.fem.petsc as fp
         import ufl
-        from dolfinx import fem
 
         compat.check_versions()
         self.name, self.forms, self.mesh = name, forms, mesh
-        msh = mesh.dolfinx
-        self.comm = msh.comm
+        self.comm = mesh.dolfinx.comm
         self.dim = d = mesh.dim
         self.motions = motions(d)
 
         # one numbering of nodes for displacements and for what has one component
-        self.space = fem.functionspace(msh, ("Lagrange", forms.degree, (d,)))
+        self.space = mesh.space(forms.degree, (d,))
         self.n = self.space.dofmap.index_map.size_local
         self.n_global = self.space.dofmap.index_map.size_global * d
-        self.scalar_space = scalar = fem.functionspace(msh, ("Lagrange", forms.degree))
+        self.scalar_space = scalar = mesh.space(forms.degree)
         same = np.array_equal(self.space.dofmap.list, scalar.dofmap.list)
         together(self.comm, None if same else RuntimeError("DOLFINx numbered scalar and vector spaces differently"))
 

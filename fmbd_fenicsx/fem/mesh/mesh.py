@@ -82,7 +82,8 @@ class Mesh:
 
     Attributes: ``dolfinx`` the mesh, ``facet_tags`` its MeshTags, ``surfaces`` name -> tag or tags, ``volume`` name of the
     solid group or groups, ``label`` what messages call it, ``recipe`` how it was made, where that is known, ``others`` name of a
-    group that is no surface -> why; ``volumes`` name -> tag of the solid groups, ``cell_tags`` their MeshTags.
+    group that is no surface -> why; ``volumes`` name -> tag of the solid groups, ``cell_tags`` their MeshTags; ``spaces`` that
+    copies have in common, see :meth:`space`.
     """
 
     dolfinx: Any
@@ -94,6 +95,7 @@ class Mesh:
     others: dict[str, str] = field(default_factory=dict)
     volumes: dict[str, int] = field(default_factory=dict)
     cell_tags: Any = None
+    spaces: dict[tuple[Any, ...], Any] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         cells = self.dolfinx.topology.index_map(self.dim).size_global
@@ -147,6 +149,16 @@ class Mesh:
         import ufl
 
         return ufl.Measure("dx", domain=self.dolfinx, subdomain_data=self.cell_tags)
+
+    def space(self, degree: int, shape: tuple[int, ...] = ()) -> Any:
+        """The Lagrange space of a degree; its nodes are numbered once for all copies by :meth:`placed`. Collective."""
+        from dolfinx import fem
+
+        element = ("Lagrange", degree, shape) if shape else ("Lagrange", degree)
+        if element not in self.spaces:
+            self.spaces[element] = fem.functionspace(self.dolfinx, element)
+        known = self.spaces[element]
+        return known if known.mesh is self.dolfinx else compat.space_like(known, self.dolfinx)
 
     def missing(self, name: str) -> str:
         """That there is no such surface, why, and which there are."""

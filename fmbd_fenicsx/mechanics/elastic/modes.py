@@ -15,7 +15,7 @@ Source: Craig and Bampton, doi:10.2514/3.4741.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -97,18 +97,19 @@ def first_eigenvalue_bound(field: Field) -> float:
     """Rayleigh quotients of quadratic displacements without their rigid part: an upper bound in (rad/s)^2, close for slender
     bodies of one material. Collective.
     """
-    quotient = _rayleigh(field)
-    return min(quotient(shape.ravel())[0] for shape in _bent(field))
+    return float(_rayleigh(field, np.stack([shape.ravel() for shape in _bent(field)], axis=1))[0].min())
 
 
 def bound_by_soft_parts(field: Field) -> float:
     """The same where parts may be far softer than others: of displacements by which forces of such accelerations move each node
     alone, and of inverse iteration from there. Collective.
     """
-    f, quotient, best = field, _rayleigh(field), first_eigenvalue_bound(field)
+    f, best = field, first_eigenvalue_bound(field)
     alone = f.K.getDiagonal().array[: field.n * field.dim]
-    moved = [f.mass(shape).ravel() / alone for shape in _bent(f)]
-    soft, u = min(map(quotient, moved), key=lambda found: found[0])
+    moved = np.stack([f.mass(shape).ravel() / alone for shape in _bent(f)], axis=1)
+    quotients, shapes = _rayleigh(f, moved)
+    k = int(quotients.argmin())
+    soft, u = float(quotients[k]), shapes[:, k]
     while 0.0 < soft < SOFTER * best:
         best = soft
         try:
@@ -116,22 +117,19 @@ def bound_by_soft_parts(field: Field) -> float:
         except LinearSolveError:
             return best  # what is softer is lost in roundoff
         for _ in range(INVERSE):
-            soft, u = quotient(factor.solve(f.mass(u.reshape(-1, f.dim)).ravel()))
+            quotients, shapes = _rayleigh(f, factor.solve(f.mass(u.reshape(-1, f.dim)).ravel())[:, None])
+            soft, u = float(quotients[0]), shapes[:, 0]
         factor.destroy()
     return min(best, soft) if soft > 0.0 else best
 
 
-def _rayleigh(field: Field) -> Callable[[Array], tuple[float, Array]]:
-    """Rayleigh's quotient of a displacement (n d,) without its rigid part, and this; collective."""
+def _rayleigh(field: Field, U: Array) -> tuple[Array, Array]:
+    """Rayleigh's quotients (k,) of displacements U (n d, k) without their rigid parts, and these; collective."""
     f, Z = field, rigid_fields(field)
-    G = f.total(Z.T @ f.Q)
-
-    def quotient(u: Array) -> tuple[float, Array]:
-        u = u - Z @ np.linalg.solve(G, f.total(f.Q.T @ u))
-        kk, mm = f.total(np.array([u @ f.stiffness(u), u @ f.mass(u.reshape(-1, f.dim)).ravel()]))
-        return float(kk / mm) if mm > 0 else np.inf, u  # contact nodes may carry no inertia
-
-    return quotient
+    U = U - Z @ np.linalg.solve(f.total(Z.T @ f.Q), f.total(f.Q.T @ U))
+    kk, mm = f.total(np.stack([np.einsum("ik,ik->k", U, AU) for AU in (f.stiffness(U), f.mass_columns(U))]))
+    # contact nodes may carry no inertia
+    return np.divide(kk, mm, out=np.full(len(kk), np.inf), where=mm > 0), U
 
 
 def first_mode(field: Field, conditions: Array) -> tuple[float, Array]:
