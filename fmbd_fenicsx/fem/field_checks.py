@@ -1,9 +1,10 @@
-"""Checks of an elastic field when it is built: linear functions, symmetry and sign of its form, locking, thin first-order cells;
-and, where it gets a frame, that its form does not resist rigid motion.
+"""Checks of an elastic field when it is built: linear functions, symmetry and sign of its form, locking, bending by first-order
+cells; and, where it gets a frame, that its form does not resist rigid motion.
 """
 
 from __future__ import annotations
 
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -15,8 +16,8 @@ from ..rotations import Array
 from .cell_volumes import least_volume
 from .rigid_turns import RESISTED, resistance_to_turns, resists_shifts
 
-# length over height of first-order cells above which bending is far too stiff (1:1000 measured: 280 times)
-SLENDER = 50.0
+SLENDER = 5.0  # length over height of bodies whose bending is looked at
+STIFF = 2.0  # times as stiff in bending as they are that is told
 
 LINEAR = 1e-8  # gradient of what a linear function of size 1 differs by in V_h: roundoff
 
@@ -31,7 +32,7 @@ def check_field(field: Any) -> None:
     _check_stiffness(field)
     _warn_of_turning(field)
     _warn_of_locking(field)
-    _warn_of_slender_cells(field)
+    _warn_of_stiff_bending(field)
 
 
 def check_start(field: Any, U: Array) -> None:
@@ -167,39 +168,30 @@ def _warn_of_locking(field: Any) -> None:
         )
 
 
-def _warn_of_slender_cells(field: Any) -> None:
-    """A warning for first-order simplices that are longer than ``SLENDER`` times their height."""
+def _warn_of_stiff_bending(field: Any) -> None:
+    """A warning where first-order cells bend a slender body with far more energy than its strains have, (1).
+
+        u = -x y a + x^2 / 2 b,    strain -y a a,    int C y^2 dV,  C of the stretch u = x a                         (1)
+
+    with x, y along principal axes a, b, b the shorter one. What nodal values of u store beyond it is the shear of cells that
+    cannot bend, of rectangles G l^2 / (C h^2), l their length and h the height of the body: that of a cantilever, more where
+    nodes within the cells of a pattern give (crossed triangles).
+    """
     if field.forms.degree != 1:
         return
-    aspect = max(field.comm.allgather(_largest_aspect(field.mesh.dolfinx)))
-    if aspect > SLENDER:
+    squares, axes = np.linalg.eigh(field.total(field.X.T @ field.mass(field.X)) / field.mass_total)
+    worst = 0.0
+    for short, long in combinations(range(field.dim), 2):
+        if squares[long] < SLENDER**2 * squares[short]:
+            continue
+        b, a = axes[:, short], axes[:, long]
+        x, y = field.X @ a, field.X @ b
+        pure = np.outer(-x * y, a) + np.outer(0.5 * x**2, b), np.outer(x, a)
+        bent, stretched = field.total(np.array([w.ravel() @ field.stiffness(w.ravel()) for w in pure]))
+        worst = max(worst, bent / (stretched * squares[short]))
+    if worst > STIFF:
         log.warning(
-            'body "%s" has first-order cells %.3g times as long as high: they are far too stiff in bending; use degree=2 or '
-            "shorter cells",
+            'body "%s" has first-order cells, which make it up to %.3g times too stiff in bending; use degree=2 or shorter cells',
             field.name,
-            aspect,
+            worst,
         )
-
-
-def _largest_aspect(msh: Any) -> float:
-    """Largest edge over height d V / A of this rank's cells (A the largest facet), straight simplices; 0 for others."""
-    cells = compat.geometry_dofmap(msh)
-    d = msh.topology.dim
-    if not len(cells) or cells.shape[1] != d + 1:
-        return 0.0
-
-    x = msh.geometry.x[cells]  # (cells, d + 1, 3)
-    pairs = [(i, j) for i in range(d + 1) for j in range(i)]
-    edge = np.max([np.linalg.norm(x[:, i] - x[:, j], axis=1) for i, j in pairs], axis=0)
-    if d == 1:
-        return 1.0
-
-    a = x[:, 1] - x[:, 0]
-    b = x[:, 2] - x[:, 0]
-    if d == 2:
-        twice = np.linalg.norm(np.cross(a, b), axis=1)
-        return float(np.max(edge**2 / twice))
-
-    six = np.abs(np.einsum("ci,ci->c", np.cross(a, b), x[:, 3] - x[:, 0]))
-    faces = [np.cross(x[:, j] - x[:, i], x[:, k] - x[:, i]) for i, j, k in ((0, 1, 2), (0, 1, 3), (0, 2, 3), (1, 2, 3))]
-    return float(np.max(edge * np.max([np.linalg.norm(f, axis=1) for f in faces], axis=0) / six))
