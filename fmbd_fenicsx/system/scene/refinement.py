@@ -182,6 +182,13 @@ def expected_rate(scene: Scene) -> float:
     return min(rates, default=SOLID_RATE)
 
 
+def expected_rates(scene: Scene) -> dict[str, float]:
+    """The same of each sensor: strains at a place are of the order that the degree of the elements is."""
+    rate = expected_rate(scene)
+    degrees = {name: sensor.strain_degree for name, sensor in scene.sensors.items()}
+    return {name: rate if degree is None else min(rate, 2.0**degree) for name, degree in degrees.items()}
+
+
 def one_kind(*levels: Scene) -> bool:
     """Whether from the first to the last of these levels only elements were halved, and degrees stayed."""
     first, *others = levels

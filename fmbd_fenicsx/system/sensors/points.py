@@ -23,7 +23,7 @@ from ...mechanics.bodies.bodies import AbsoluteBody, FloatingBody
 from ...mechanics.reduction.craig_bampton import ReducedBody
 from ...rotations import Array, matvec
 from ..layout import Layout
-from .sensor import BodySensor, OfStates, Sensor
+from .sensor import BodySensor, OfStates, OfStrains, Sensor
 
 PAIRS = {2: ((0, 0), (1, 1), (0, 1)), 3: ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))}  # of symmetric tensors
 
@@ -136,7 +136,7 @@ class PointDisplacement(PointSensor):
 
 
 @dataclass(frozen=True, eq=False)
-class PointStrain(PointSensor):
+class PointStrain(OfStrains, PointSensor):
     """Strain at the point, body axes: xx, yy, xy in the plane, xx, yy, zz, yz, xz, xy in space; tensor components.
 
     Of bodies with a linear form sym(grad u), of those with an energy (grad u + grad u^T + grad u^T grad u) / 2.
@@ -158,7 +158,7 @@ class PointStrain(PointSensor):
 
 
 @dataclass(frozen=True, eq=False)
-class PointQuantity(PointSensor):
+class PointQuantity(OfStrains, PointSensor):
     """quantity(u) in UFL at the point; see :func:`point_value`."""
 
     quantity: Callable[[Any], Any] = None  # type: ignore[assignment]

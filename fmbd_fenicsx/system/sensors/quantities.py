@@ -20,7 +20,7 @@ from ...mechanics.reduction.craig_bampton import ReducedBody
 from ...rotations import Array
 from ..layout import Layout
 from .points import is_elastic, of_displacement
-from .sensor import BodySensor, OfStates, Sensor
+from .sensor import BodySensor, OfStates, OfStrains, Sensor
 
 Read = Callable[[], Array]
 
@@ -70,7 +70,7 @@ class WholeBody(OfStates, BodySensor):
 
 
 @dataclass(frozen=True, eq=False)
-class Largest(WholeBody):
+class Largest(OfStrains, WholeBody):
     """See :func:`largest`."""
 
     degree: int = 2

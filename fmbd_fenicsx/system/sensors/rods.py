@@ -22,11 +22,19 @@ from .sensor import Sensor
 
 @dataclass(frozen=True, eq=False)
 class SectionSensor(Sensor):
-    """Six numbers of the section at the arc length ``s`` (m) of a rod: forces and moments, or with ``strain`` its strains."""
+    """Six numbers of the section at the arc length ``s`` (m) of a rod with elements of a ``degree``: forces and moments, or with
+    ``strain`` its strains.
+    """
 
     rod: str = ""
     s: float = 0.0
     strain: bool = False
+    degree: int = 3
+
+    @property
+    def strain_degree(self) -> int:
+        """Forces follow from strains."""
+        return self.degree
 
     def read(self, ev: Evaluation, state: State, marker: int) -> Array:
         """Values at the Gauss points, continued to s; at a node between two elements the mean of both sides."""
@@ -88,4 +96,4 @@ def _section(on: Any, strain: bool, unit: str) -> Sensor:
         f'A section belongs to a rod: rod.surface("end") or one of its stations; found {on!r}.',
     )
     node = on.body.node_of(on.name)
-    return SectionSensor(None, unit, None, on.body.name, float(on.body.nodes[node]), strain)
+    return SectionSensor(None, unit, None, on.body.name, float(on.body.nodes[node]), strain, on.body.degree)

@@ -48,6 +48,11 @@ class Sensor:
         return self.series(seen, marker), 1.0
 
     @property
+    def strain_degree(self) -> int | None:
+        """Degree of the elements whose strains it reads at a place; None where it reads none."""
+        return None
+
+    @property
     def coordinates(self) -> tuple[JointCoordinate, ...]:
         """Joint coordinates that it reads."""
         return ()
@@ -117,6 +122,15 @@ class BodySensor(Sensor):
     def reads(self) -> dict[str, str]:
         """A body."""
         return {"body": named_part("body", self.body)}
+
+
+class OfStrains(BodySensor):
+    """A quantity that follows from strains at a place of a body."""
+
+    @property
+    def strain_degree(self) -> int | None:
+        """That of the displacements."""
+        return self.body.displacement_degree  # type: ignore[no-any-return]
 
 
 class PartName(str):

@@ -11,7 +11,7 @@ import numpy as np
 
 from ....log import log
 from ....schemes.newton import Newton
-from ....system.scene.refinement import expected_rate, more_modes, one_kind, refined, refined_by_finer_space, slender
+from ....system.scene.refinement import expected_rates, more_modes, one_kind, refined, refined_by_finer_space, slender
 from ....system.scene.scene import Scene
 from ....system.system import System
 from ...built import Built
@@ -138,7 +138,7 @@ class SharedSpaces(SharedTolerances):
         """
         if enough is None or scene.contacts:
             return None
-        steps, rate = made.schedule.steps, expected_rate(scene)
+        steps, rates = made.schedule.steps, expected_rates(scene)
         known = [(n, x) for n, x in enumerate(reversed(below), start=1) if self.kept(x, steps) is not None]
         if not known:
             return None
@@ -147,14 +147,14 @@ class SharedSpaces(SharedTolerances):
         lower = self.kept(coarser, steps)
         assert lower is not None
         raised = sum(not one_kind(*pair) for pair in pairwise((*below[-levels:], scene)))
-        found = from_below(made.recorder, lower.recorder, rate, levels, enough, raised)
+        found = from_below(made.recorder, lower.recorder, rates, levels, enough, raised)
         if found is not None or len(known) == 1 or not slender(scene):
             return found
 
         lowest = self.kept(known[1][1], steps)
         assert lowest is not None
         gaps = levels, known[1][0] - levels
-        seen = levels_compared(rate, made.recorder, lower.recorder, lowest.recorder, gaps)
+        seen = levels_compared(rates, made.recorder, lower.recorder, lowest.recorder, gaps)
         return seen if seen is not None and enough(seen) else None  # from afar it may be too large
 
     def _from_new(
@@ -214,7 +214,7 @@ class SharedSpaces(SharedTolerances):
             lowest = self.like(made, below[-2])
         except UNFIT:
             return None
-        return levels_compared(expected_rate(scene), made.recorder, lower.recorder, lowest.recorder)
+        return levels_compared(expected_rates(scene), made.recorder, lower.recorder, lowest.recorder)
 
     def refined(self, scene: Scene, enough: float = np.inf) -> Scene:
         """The next level: the spaces that the error was measured against where these are it, or are the last level that is

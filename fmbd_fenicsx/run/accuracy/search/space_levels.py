@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
@@ -43,12 +43,12 @@ def space_deviations(coarse: Recorder, fine: Recorder, why: str) -> tuple[dict[s
 def from_below(
     given: Recorder,
     below: Recorder,
-    rate: float,
+    rates: Mapping[str, float],
     levels: int,
     enough: Callable[[dict[str, Deviation]], bool],
     raised: int = 0,
 ) -> dict[str, Deviation] | None:
-    """Error in space of each sensor from a run on a mesh so many ``levels`` coarser, each expected to be better by a ``rate`` r:
+    """Error in space of each sensor from a run on a mesh so many ``levels`` coarser, each expected to be better by its rate r:
 
         x - x_h ~ (x_h - x_H) / (r^levels - 1)                                                                       (1)
 
@@ -61,14 +61,14 @@ def from_below(
         if x.shape != below.series[name].shape:
             return None
         apart[name] = Deviation(given.times, x - below.series[name])
-    least = (SLOWER * rate) ** (levels - raised) * rate**raised
-    if not enough({n: scaled(x, 1.0 / (least - 1.0)) for n, x in apart.items()}):
+    least = {n: (SLOWER * r) ** (levels - raised) * r**raised for n, r in rates.items()}
+    if not enough({n: scaled(x, 1.0 / (least[n] - 1.0)) for n, x in apart.items()}):
         return None
-    return {n: scaled(x, 1.0 / (rate**levels - 1.0)) for n, x in apart.items()}
+    return {n: scaled(x, 1.0 / (rates[n] ** levels - 1.0)) for n, x in apart.items()}
 
 
 def levels_compared(
-    highest: float, given: Recorder, below: Recorder, lowest: Recorder, gaps: tuple[int, int] = (1, 1)
+    highest: Mapping[str, float], given: Recorder, below: Recorder, lowest: Recorder, gaps: tuple[int, int] = (1, 1)
 ) -> dict[str, Deviation] | None:
     """Error in space of each sensor from runs on two levels below, n = ``gaps[0]`` halvings of the elements and m = ``gaps[1]``
     more away, errors falling by r from level to level, at most by the ``highest``:
@@ -90,7 +90,7 @@ def levels_compared(
         if size <= ROUNDOFF * float(np.abs(x).max(initial=0.0)):
             errors[name] = Deviation(given.times, near)
             continue
-        rate = _rate(far / size, n, m, highest)
+        rate = _rate(far / size, n, m, highest[name])
         if rate is None:
             return None
         errors[name] = Deviation(given.times, near / (rate**n - 1.0))
