@@ -114,6 +114,28 @@ def test_a_hinge_catches_a_body(dim: int) -> None:
     assert run.total_energy[-1] == pytest.approx(run.total_energy[0], abs=1e-6)
 
 
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("new", [True, False])
+def test_joints_that_have_closed_stay_as_they_closed(dim: int, new: bool) -> None:
+    """Over many scenes, each of which goes on from the one before, also where others close later."""
+    scene = fmbd.solve(meeting(dim, False), t_end=0.6, dt=1e-3).next_scene()
+    hinge = scene.add(fmbd.revolute("hinge", scene.bodies["a"], scene.bodies["b"]))
+    scene.sensor("phi", fmbd.angle(hinge))
+    hung = fmbd.solve(scene, t_end=1.2, dt=1e-3)
+    whole = hung if new else fmbd.solve(scene, t_end=2.2, dt=1e-3)
+
+    scene = hung.next_scene()
+    if new:
+        scene.add(fmbd.fixed("latch", scene.bodies["a"], scene.bodies["b"]))
+    later = fmbd.solve(fmbd.solve(scene, t_end=1.7, dt=1e-3).next_scene(), t_end=2.2, dt=1e-3)
+    assert later.drift[0] < 1e-9 and not later.warnings
+    assert later["phi"][-1] == pytest.approx(whole["phi"][-1], abs=1e-5)
+    for found, wanted in zip(apart(later, dim, -1), apart(whole, dim, -1), strict=True):
+        np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-5)
+    for now, was in zip(later.momenta(), whole.momenta(), strict=True):
+        np.testing.assert_allclose(now, was, rtol=0, atol=1e-6)
+
+
 @pytest.mark.mpi
 @pytest.mark.parametrize("kind", ["floating", "reduced", "absolute"])
 def test_elastic_bodies_go_on_as_they_are(rod_mesh: Callable[..., Any], kind: str) -> None:

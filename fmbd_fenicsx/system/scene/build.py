@@ -152,8 +152,9 @@ class Builder:
 
             # a joint that a going-on scene closes catches its second side where that is
             point = default if joint.center_b is None else joint.center_b
-            if origin is not None and origin.closes(joint):
-                closing = Closing(joint, a, len(self.markers.places))
+            past = None if origin is None else origin.closed(joint)
+            if past is not None:
+                closing = Closing(joint, a, len(self.markers.places), past)
                 self.closing.append(closing)
                 point = None if closing.caught else point
             b = self.markers.add(joint.b, point)

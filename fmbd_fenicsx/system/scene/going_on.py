@@ -48,14 +48,24 @@ class Origin:
         known = self.scene.joints.get(joint.name) is joint
         return not known and joint.joined and not isinstance(joint, Coupling)
 
+    def closed(self, joint: Joint) -> Origin | None:
+        """The origin in whose state a joint of the scene closed on what it found, this or one before; None of all others."""
+        if self.closes(joint):
+            return self
+        before = self.scene.origin
+        return None if before is None else before.closed(joint)
+
 
 @dataclass(frozen=True, eq=False)
 class Closing:
-    """A new joint with its markers: the second one is seated where the first is, of a caught mass the first where that is."""
+    """A joint that closes in the state of an ``origin``: its second marker is seated where the first is, of a caught mass the
+    first where that is.
+    """
 
     joint: Joint
     a: int
     b: int
+    origin: Origin
 
     @property
     def caught(self) -> bool:
@@ -65,16 +75,24 @@ class Closing:
 
 
 def go_on(origin: Origin, system: System, given: State, closing: Sequence[Closing]) -> tuple[System, State]:
-    """A system as its scene gives it, and its state, in that of the origin; ``closing``: new joints. Collective."""
+    """A system as its scene gives it, and its state, in that of the origin; ``closing``: joints that have closed since the first
+    scene. Collective.
+    """
+    for past in dict.fromkeys(x.origin for x in closing):
+        system = _seated(system, _found(past, system, given), [x for x in closing if x.origin is past])
+    state = _found(origin, system, given)
+    count(system, state.q)
+    system = replace(system, remembered=tuple(_memory(origin, keeper) for keeper in system.keepers), cache={})
+    return system, state
+
+
+def _found(origin: Origin, system: System, given: State) -> State:
+    """The state of a system whose bodies are as an origin has left them."""
     q, v = given.q.copy(), given.v.copy()
     _take_bodies(origin, system, q, v)
     count(system, q)
     _take_angles(origin, system, q)
-
-    system = _seated(system, State(origin.state.t, q, v, given.a, given.lam), closing)
-    count(system, q)
-    system = replace(system, remembered=tuple(_memory(origin, keeper) for keeper in system.keepers), cache={})
-    return system, State(origin.state.t, q, v, given.a, given.lam)
+    return State(origin.state.t, q, v, given.a, given.lam)
 
 
 def _take_bodies(origin: Origin, system: System, q: Array, v: Array) -> None:
@@ -120,8 +138,6 @@ def _counted(system: System) -> dict[str, int]:
 
 def _seated(system: System, state: State, closing: Sequence[Closing]) -> System:
     """The system with the second markers of new joints where (1) wants them, of caught masses the first ones; collective."""
-    if not closing:
-        return system
     kin, markers = system.at(state.t, state.q, state.v).kin, system.markers
     a, b = np.array([(x.a, x.b) for x in closing]).T
     caught: np.ndarray = np.array([x.caught for x in closing])
