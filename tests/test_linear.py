@@ -10,16 +10,19 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy.sparse
 from motion import elastic_rod, elastic_scene
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import FmbdError, LinearSolveError
 from fmbd_fenicsx.fem.fields import Field
+from fmbd_fenicsx.linear import prepared
 from fmbd_fenicsx.linear.blocks.field_blocks import FactoredField, Weights
 from fmbd_fenicsx.linear.blocks.spd import CholeskyFactor, MassInverse
 from fmbd_fenicsx.linear.condensation import StepSolver
 from fmbd_fenicsx.linear.core import CoreSolver
 from fmbd_fenicsx.linear.residual import Judge
+from fmbd_fenicsx.system import dependence
 from fmbd_fenicsx.system.layout import State
 from fmbd_fenicsx.system.system import System
 
@@ -343,3 +346,46 @@ def test_a_field_is_eliminated_from_what_it_sees_of_the_core(
         solver.destroy()
     assert found[0] == found[1]
     assert max(np.abs(left).max() for left in matrices) < 1e-9
+
+
+def test_the_core_of_many_elastic_bodies_is_sparse(
+    rod_mesh: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By the same solutions as a dense one, whose work is the cube of their number; so is what tells that no rows depend."""
+    mesh, law = rod_mesh(h=0.5, height=0.4), fmbd.materials.plane_stress(1e8, 0.3)
+    scene, last = fmbd.Scene("chain", gravity=(0.0, -9.81)), fmbd.ground
+    for k in range(70):
+        rod = fmbd.FloatingBody(f"rod {k}", mesh.placed((float(k), 0.0)), density=1000.0, elastic=law, degree=1)
+        scene.add(rod, fmbd.revolute(f"pin {k}", last, rod.surface("pin"), center=(float(k), 0)))
+        last = rod.surface("tip")
+    system, state, _ = scene.build()
+    ev, b = system.at(0.0, state.q, state.v), np.random.default_rng(1).standard_normal(system.n_v)
+
+    def solved() -> tuple[np.ndarray, int]:
+        solver, factors = StepSolver(system), []
+        of_dense = solver.core._factor_dense
+        solver.core._factor_dense = lambda K: factors.append(len(K)) or of_dense(K)  # type: ignore[method-assign]
+        solver.prepare(ev, Weights(1.0, 0.0, 1e-6))
+        found = np.concatenate(solver.solve(b, np.zeros(system.n_lam)))
+        solver.destroy()
+        return found, len(factors)
+
+    found, factors = solved()
+    assert not factors
+    assert scipy.sparse.issparse(dependence._scaled(ev))
+    monkeypatch.setattr(prepared, "MANY", np.inf)
+    by_dense, factors = solved()
+    assert factors
+    np.testing.assert_allclose(found, by_dense, atol=1e-9 * np.abs(by_dense).max())
+
+
+def test_a_sparse_core_that_sees_fields_and_is_singular_is_looked_at_by_a_dense_factor() -> None:
+    """Two rows that are the same share their multiplier."""
+    A, G, C = np.eye(4), np.array([[1.0, 0, 0, 0], [1.0, 0, 0, 0]]), np.zeros((2, 2))
+    found = []
+    for kind in (np.asarray, scipy.sparse.csr_array):
+        solver = CoreSolver(Judge("the core"))
+        solver.factor(kind(A), kind(G), kind(C))
+        found.append(np.concatenate(solver.solve(np.array([1.0, 2.0, 3.0, 4.0]), np.zeros(2))))
+    np.testing.assert_allclose(found[1], [0.0, 2.0, 3.0, 4.0, 0.5, 0.5], atol=1e-12)
+    np.testing.assert_allclose(found[0], found[1], atol=1e-12)

@@ -4,8 +4,8 @@
     [ G   0  ] [ y ] = [ c ]                                                                             (1)
 
 Rows and columns are scaled (:func:`scales`). Where a dense factor loses pivots, even scales are taken for it, and residuals are
-judged in the first ones as before; a sparse factor has the first ones only. Dependent rows of G are solved in the minimum-norm
-sense when the caller allows it.
+judged in the first ones as before; a sparse factor has the first ones only, and where it sees fields and loses pivots the dense
+one takes its place. Dependent rows of G are solved in the minimum-norm sense when the caller allows it.
 """
 
 from __future__ import annotations
@@ -108,14 +108,13 @@ class CoreSolver:
 
         self.factorisations += 1
         self.ratio = 1.0
-        self.scale = scales(A, G) if C is None else even_rows(_whole(A, G, C, self.upper))
+        self.scale = scales(A, G) if C is None else even_rows(self._whole())
         self._change: Any = 1.0  # of these scales for the factor
         self.exact = not self.redundant
 
-        if sp.issparse(A) and not self.redundant:
-            self._factor_sparse()
+        if sp.issparse(A) and not self.redundant and self._factor_sparse():
             return
-        K = both_sides(_whole(A, G, C, self.upper), self.scale)
+        K = both_sides(dense(self._whole()), self.scale)
         if self.redundant:
             self._factor_redundant(K)
         else:
@@ -144,13 +143,25 @@ class CoreSolver:
             return
         self._solve = lambda b: solve(lu, pivots, b)[0]
 
-    def _factor_sparse(self) -> None:
-        """Sparse LU; its pattern and the order of its columns are those of the first factorisation while they fit."""
+    def _whole(self) -> Any:
+        """The matrix of (1), dense or sparse as A."""
+        C = np.zeros((self.m, self.m)) if self.C is None else self.C
+        if sp.issparse(self.A):
+            return sp.block_array([[self.A, self.upper], [self.G, sp.csr_array(C)]], format="csc")
+        return np.block([[self.A, dense(self.upper)], [dense(self.G), C]])
+
+    def _factor_sparse(self) -> bool:
+        """Sparse LU; its pattern and the order of its columns are those of the first factorisation while they fit. False where
+        one that sees fields is singular: a dense factor tells what is left of it.
+        """
         if self.C is not None:
-            S = sp.diags(self.scale)
-            K = sp.bmat([[self.A, self.upper], [self.G, self.C]], format="csc")
-            self._solve = self._lu((S @ K @ S).tocsc(), "COLAMD").solve
-            return
+            try:
+                factor = spl.splu(both_sides(self._whole(), self.scale).tocsc())
+            except RuntimeError:
+                return False
+            self.ratio = _pivot_ratio(factor.U.diagonal())
+            self._solve = factor.solve
+            return self.ratio >= SINGULAR
         A, G = self.A.tocsr(), self.G.tocsr()
         if self._saddle is None or not self._saddle.fits(A, G):
             # the fill-reducing order is found once; later factors take their columns in it
@@ -166,6 +177,7 @@ class CoreSolver:
             return x
 
         self._solve = solve
+        return True
 
     def _lu(self, K: Any, order: str) -> Any:
         try:
@@ -294,14 +306,9 @@ def _norm(x: Array) -> float:
     return math.sqrt(np.vdot(x, x).real)
 
 
-def _whole(A: Any, G: Any, C: Array | None, upper: Any) -> Array:
-    """The matrix of (1), dense."""
-    return np.block([[dense(A), dense(upper)], [dense(G), np.zeros((G.shape[0],) * 2) if C is None else C]])
-
-
-def both_sides(K: Array, scale: Array) -> Array:
-    """Rows and columns of a matrix scaled alike."""
-    return K * scale * scale[:, None]
+def both_sides(K: Any, scale: Array) -> Any:
+    """Rows and columns of a matrix scaled alike, dense or sparse."""
+    return sp.diags_array(scale) @ K @ sp.diags_array(scale) if sp.issparse(K) else K * scale * scale[:, None]
 
 
 def scales(A: Any, G: Any) -> Array:
@@ -344,9 +351,9 @@ def even_scales(K: Array, n: int) -> Array:
     return heaviest_one(scale * even_rows(both_sides(K, scale)))
 
 
-def even_rows(K: Array) -> Array:
-    """Scales of any matrix: square roots of the row maxima, again while that leaves rows with small entries only."""
-    rows = np.abs(K)
+def even_rows(K: Any) -> Array:
+    """Scales of any matrix, dense or sparse: roots of the row maxima, again while that leaves rows with small entries only."""
+    rows = abs(K)
     scale = 1.0 / np.sqrt(_tops(rows))
     for _ in range(MOST_SCALINGS):
         top = _tops(both_sides(rows, scale))
@@ -356,7 +363,8 @@ def even_rows(K: Array) -> Array:
     return scale
 
 
-def _tops(rows: Array) -> Array:
+def _tops(rows: Any) -> Array:
     """Largest entry of each row and column, 1 for those of zeros."""
-    top = np.maximum(rows.max(axis=0), rows.max(axis=1))
+    of_columns, of_rows = (dense(rows.max(axis=k)).ravel() for k in (0, 1))
+    top = np.maximum(of_columns, of_rows)
     return np.where(top > 0, top, 1.0)

@@ -44,7 +44,8 @@ class FieldCouplings:
         the core sees it.
         """
         n = self.system.n_core
-        own = [np.concatenate((S[:, :n], S[:, n:][:, direct]), axis=1) for S in self.couplings]
+        every = isinstance(direct, slice)  # copies for all of many bodies would take the square of their number
+        own = self.couplings if every else [np.append(S[:, :n], S[:, n:][:, direct], axis=1) for S in self.couplings]
         if not self.border.count:
             return own, own
         pairs = [self._bordered(i, S) for i, S in enumerate(own)]

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import scipy.sparse as sp
 
 from ..matrices import dense
 from ..rotations import Array, rotate_nodal
@@ -20,6 +21,9 @@ from .field_couplings import FieldCouplings
 
 if TYPE_CHECKING:
     from .iterated_multipliers import IteratedMultipliers
+
+
+MANY, FEW = 500, 0.1  # size of a core, and share of its entries, from which on and below which its factor is sparse
 
 
 class Prepared:
@@ -67,15 +71,16 @@ class Condensed(Prepared):
         left, right = border.on_core()
         lower, upper = np.concatenate((joints, right)), np.concatenate((joints.T, left), axis=1)
         C = np.diag(np.repeat((0.0, -1.0), (len(joints), border.count)))
-        blocks = self.fields.blocks
         whole = np.block([[dense(A), upper], [lower, C]])
-        whole = whole.astype(np.result_type(whole, *(block.W for block in blocks)), copy=False)
+        whole = whole.astype(np.result_type(whole, *(block.W for block in self.fields.blocks)), copy=False)
 
         # a field sees little of the core
-        for block, S, R in zip(blocks, self.couplings, self.back_couplings, strict=True):
+        for block, S, R in zip(self.fields.blocks, self.couplings, self.back_couplings, strict=True):
             to, on = (np.flatnonzero(x.any(axis=0)) for x in (R, S))
             whole[to[:, None], on] -= block.seen_by(R[:, to], S[:, on])
-        self.core.factor(whole[:n, :n], whole[n:, :n], whole[n:, n:], whole[:n, n:])
+        of_many = len(whole) > MANY and np.count_nonzero(whole) < FEW * whole.size
+        parts = whole[:n, :n], whole[n:, :n], whole[n:, n:], whole[:n, n:]
+        self.core.factor(*(map(sp.csr_array, parts) if of_many else parts))
 
     def solve(self, b: Array, c: Array) -> tuple[Array, Array]:
         """As :meth:`Prepared.solve`; c of the rows that the core holds."""

@@ -83,17 +83,24 @@ def _masses(ev: Evaluation) -> Array:
 
 def scaled_jacobian(ev: Evaluation) -> Array:
     """G_s of (1), dense (n_lam, n_core + ports of fields)."""
-    G = dense(ev.jacobian.core) / np.sqrt(_masses(ev))
+    return dense(_scaled(ev))
+
+
+def _scaled(ev: Evaluation) -> Any:
+    """The same, sparse where the Jacobian is."""
+    core, scale = ev.jacobian.core, 1.0 / np.sqrt(_masses(ev))
+    sparse = sp.issparse(core)
+    G = core.tocsr() @ sp.diags_array(scale) if sparse else core * scale
 
     # ports of fields beside the core, of its size
-    typical = float(np.abs(G).max(initial=1.0))
-    columns = [G]
+    typical = max(float(abs(G).max()), 1.0) if 0 not in G.shape else 1.0
+    port, columns = sp.csc_array(ev.jacobian.port) if sparse else ev.jacobian.port, [G]
     for k, part in ev.system.fields:
-        ports = ev.jacobian.port[:, ev.system.port_slice(k)] @ _port_factor(ev, k, part)
+        ports = port[:, ev.system.port_slice(k)] @ _port_factor(ev, k, part)
         size = max(float(np.abs(ports).max(initial=0.0)), 1.0)
         columns.append(typical * ports / size)
 
-    return _normed(np.concatenate(columns, axis=1))
+    return _normed(sp.hstack(columns, format="csr") if sparse else np.concatenate(columns, axis=1))
 
 
 @dataclass(frozen=True)
@@ -138,14 +145,6 @@ def scaled_rows(ev: Evaluation, *, evens: bool = True) -> Dependence:
         evened = _smallest(even)
         found = evened if evened.clear > found.clear else found
     return found
-
-
-def _scaled(ev: Evaluation) -> Any:
-    """G_s, sparse where the Jacobian is and no field has ports."""
-    core = ev.jacobian.core
-    if ev.system.fields or not sp.issparse(core):
-        return scaled_jacobian(ev)
-    return _normed(core.tocsr() @ sp.diags_array(1.0 / np.sqrt(_masses(ev))))
 
 
 def _smallest(G: Any) -> Dependence:
