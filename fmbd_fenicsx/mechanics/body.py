@@ -10,7 +10,7 @@ import numpy as np
 
 from ..checks import array, vector
 from ..errors import InputError
-from ..rotations import Array, Motions
+from ..rotations import Array, motions
 from .placements import Part
 
 # the order of the parts of a system: equations of the user's own, insides of rigid bodies, lines, modes; then those
@@ -164,8 +164,8 @@ def start_velocity(what: str, value: Any, size: int) -> Array:
     return found
 
 
-def rigid_twist(name: str, m: Motions, velocity: Any, angular_velocity: Any) -> Array:
-    """Twist (n_twist,) of a body at the start, zero where none is given."""
-    what = f'Body "{name}"'
-    v = start_velocity(f"{what}: velocity", velocity, m.dim)
-    return np.concatenate((v, start_velocity(f"{what}: angular_velocity", angular_velocity, m.n_rot)))
+def rigid_twist(body: Any) -> Array:
+    """Twist (n_twist,) at the start of a body with a ``velocity`` and an ``angular_velocity``, zero where none is given."""
+    what, m = f'Body "{body.name}"', motions(body.dim)
+    v = start_velocity(f"{what}: velocity", body.velocity, m.dim)
+    return np.concatenate((v, start_velocity(f"{what}: angular_velocity", body.angular_velocity, m.n_rot)))

@@ -22,7 +22,7 @@ from ..linear.condensation import StepSolver
 from ..log import log
 from ..rotations import Array
 from ..schemes.consistent import MASS, worst_block
-from ..system.inside_out import inside_out
+from ..system.impossible_shapes import inside_out
 from ..system.layout import State
 from ..system.mobility import tell_of_modes
 from ..system.scene.scene import Scene

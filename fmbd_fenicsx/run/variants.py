@@ -166,6 +166,13 @@ def run_variants(
     workers = 1 if isinstance(output, Output) and output.calls_back else min(cores(), len(rest))
     if workers < 2 or not hasattr(os, "fork"):
         return Variants((first, *(one(make, parameter, settings) for parameter in rest)))
+    return Variants((first, *_on_cores(workers, one, make, rest, settings)))
+
+
+def _on_cores(
+    workers: int, one: Callable[..., Any], make: Callable[[Any], Scene], rest: list[Any], settings: Any
+) -> list[Any]:
+    """What ``one`` makes of each parameter, in so many processes at once; raises the first error of any."""
     pipes = [_start(one, make, rest[i::workers], settings) for i in range(workers)]
     found: list[Any] = [None] * len(rest)
     answers: list[Any] = []
@@ -181,7 +188,7 @@ def run_variants(
         if isinstance(answer, BaseException):
             raise answer
         found[i::workers] = answer
-    return Variants((first, *found))
+    return found
 
 
 def _one(make: Callable[[Any], Scene], parameter: Any, settings: dict[str, Any]) -> Variant:

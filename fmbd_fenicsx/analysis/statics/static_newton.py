@@ -29,7 +29,7 @@ from ...linear.condensation import StepSolver
 from ...rotations import Array
 from ...schemes.exact_tangent import exact_increment
 from ...schemes.newton import ExactTangent
-from ...system.inside_out import inside_out
+from ...system.impossible_shapes import inside_out
 from ...system.speed_rows import speed_rows
 from ..small_motions.steady import Residual
 

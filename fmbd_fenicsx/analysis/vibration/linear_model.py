@@ -13,7 +13,7 @@ Outputs are the scene's sensors, differentiated by positions, velocities, accele
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,8 +22,9 @@ import scipy.linalg as sl
 
 from ...checks import array, typed
 from ...errors import InputError, near, require
-from ...mechanics.forces.force_elements import ScalarLoads, TimeLoads
+from ...mechanics.forces.force_elements import Loads, ScalarLoads, TimeLoads
 from ...rotations import Array
+from ...system.evaluation import Evaluation
 from ...system.layout import State
 from ...system.scene.alike import alike
 from ...system.scene.scene import Scene
@@ -123,27 +124,12 @@ def _inputs(made: Linearised, names: Sequence[str]) -> list[tuple[str, Array]]:
     """Labels and generalised forces of unit inputs, like v."""
     system, state = made.about.system, made.about.state
     ev = system.at(state.t, state.q, state.v)
-    d = system.motions.dim
-    count = system.motions.dim + system.motions.n_rot
-
-    # inputs by label
-    known: dict[str, Array] = {}
-
-    for loads in system.forces:
-        for i, f in enumerate(loads.forces):
-            wrench = np.zeros((len(ev.kin.x), count))
-            if isinstance(loads, ScalarLoads):
-                for marker, row in zip(loads.markers, loads.relative.rows(ev.kin), strict=True):
-                    wrench[marker[i]] += row[i]
-                known[f.name] = ev.spread(wrench)
-            # one input for each component, in the axes that the force has
-            elif isinstance(loads, TimeLoads):
-                first, n = (d, system.motions.n_rot) if f.turns else (0, d)
-                for c in range(n):
-                    unit = np.eye(n)[c]
-                    one = np.zeros_like(wrench)
-                    one[loads.a[i], first : first + n] = ev.kin.R[loads.a[i]] @ unit if f.follower and n == d else unit
-                    known[f.name if n == 1 else f"{f.name} {AXES[c]}"] = ev.spread(one)
+    known = {
+        label: ev.spread(wrench)
+        for loads in system.forces
+        for i in range(len(loads.forces))
+        for label, wrench in _unit_wrenches(ev, loads, i)
+    }
     for name in names:
         require(
             name in known or name not in made.scene.joints,
@@ -151,6 +137,24 @@ def _inputs(made: Linearised, names: Sequence[str]) -> list[tuple[str, Array]]:
             "others, and divide by its motion.",
         )
     return [(label, known[label]) for name in names for label in _chosen(name, known, "input")]
+
+
+def _unit_wrenches(ev: Evaluation, loads: Loads, i: int) -> Iterator[tuple[str, Array]]:
+    """Labels and wrenches on all markers, (n_markers, d + n_rot), of an effort of 1, or of each component of a force of time."""
+    f, m = loads.forces[i], ev.system.motions
+    wrench = np.zeros((len(ev.kin.x), m.dim + m.n_rot))
+    if isinstance(loads, ScalarLoads):
+        for marker, row in zip(loads.markers, loads.relative.rows(ev.kin), strict=True):
+            wrench[marker[i]] += row[i]
+        yield f.name, wrench
+    elif isinstance(loads, TimeLoads):
+        # in the axes that the force has
+        first, n = (m.dim, m.n_rot) if f.turns else (0, m.dim)
+        axes = ev.kin.R[loads.a[i]].T if f.follower and n == m.dim else np.eye(n)
+        for c, axis in enumerate(axes):
+            wrench[loads.a[i]] = 0.0
+            wrench[loads.a[i], first : first + n] = axis
+            yield f.name if n == 1 else f"{f.name} {AXES[c]}", wrench
 
 
 def _chosen(name: str, known: Any, what: str) -> list[str]:

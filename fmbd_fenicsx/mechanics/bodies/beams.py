@@ -24,7 +24,7 @@ import numpy as np
 
 from ...checks import check_fields, number, typed, vector, whole
 from ...errors import InputError, near, require
-from ...rotations import Array, motions
+from ...rotations import Array
 from ..body import rigid_twist
 from ..cross_sections import Shape, rectangle, ring, shear_modulus
 from ..reduction.reduced import ModalBody, ReducedConstants
@@ -178,7 +178,7 @@ class Beam(ModalBody):
 
     def start_twist(self) -> Array:
         """Rigid velocity at the start, (n_twist,)."""
-        return rigid_twist(self.name, motions(self.dim), self.velocity, self.angular_velocity)
+        return rigid_twist(self)
 
     def with_refined_basis(self, surfaces: tuple[str, ...]) -> Beam:
         """The same beam with all degrees of freedom of its elements."""

@@ -162,7 +162,7 @@ class RigidBody(Body):
 
     @cached_property
     def _twist(self) -> Array:
-        return rigid_twist(self.name, motions(self.dim), self.velocity, self.angular_velocity)
+        return rigid_twist(self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -342,7 +342,7 @@ class ElasticBody(Body):
 
     def start_twist(self) -> Array:
         """Rigid velocity of the centre of mass and angular velocity at the start, (n_twist,)."""
-        return rigid_twist(self.name, motions(self.dim), self.velocity, self.angular_velocity)
+        return rigid_twist(self)
 
     def with_(self: Same, **changes: Any) -> Same:
         """A copy with some arguments changed."""

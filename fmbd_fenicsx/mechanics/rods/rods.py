@@ -17,7 +17,7 @@ import numpy as np
 
 from ...checks import check_fields, number, whole
 from ...errors import InputError, near, require
-from ...rotations import Array, Vector, motions
+from ...rotations import Array, Vector
 from ..bodies.bodies import Surface
 from ..body import Body, rigid_twist
 from .curves import Curve, constant_or_along
@@ -232,7 +232,7 @@ class Rod(Body):
 
     def start_twists(self) -> Array:
         """Twists of the nodes at the start, (n, 6)."""
-        given = rigid_twist(self.name, motions(3), self.velocity, self.angular_velocity)
+        given = rigid_twist(self)
         mass = self.inertia[0]
         x = self.poses[:, :3]
         # a rigid motion about the centre of mass: rotations in the axes of the sections

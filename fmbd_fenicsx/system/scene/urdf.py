@@ -12,7 +12,7 @@ told of.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -183,6 +183,21 @@ def read_urdf(file: str | Path, *, start: Mapping[str, float] | None = None) -> 
             that a mimic contradicts; all named.
     """
     path = Path(instance("read_urdf: file", file, (str, Path)))
+    start = {} if start is None else {joint: number(f'read_urdf: start of "{joint}"', x) for joint, x in start.items()}
+    model = _parsed(path)
+    _check_names(path, model)
+    _check_start(model.joints, start)
+    root = _root(path, model)
+
+    starts = _with_mimics(path, model, start)
+    frames, joints = _placed(model, root, starts)
+    _tell(path, joints, starts)
+    bodies, carrier = _bodies(path, model, (root, frames, joints))
+    return Robot(model.name or path.stem, root, frames, joints, bodies, carrier)
+
+
+def _parsed(path: Path) -> Any:
+    """What yourdfpy reads in a file: ``name``, ``links``, ``joints``."""
     try:
         from yourdfpy import URDF
     except ImportError:
@@ -195,12 +210,15 @@ def read_urdf(file: str | Path, *, start: Mapping[str, float] | None = None) -> 
         raise InputError(f"read_urdf: {path} is no complete XML file: {error}.") from None
     try:
         # pictures are not read: only what moves
-        model = URDF.load(str(path), load_meshes=False, build_scene_graph=False).robot
+        return URDF.load(str(path), load_meshes=False, build_scene_graph=False).robot
     except Exception as error:  # its parser raises whatever an attribute or number that is missing or wrong leads to
         raise InputError(f"read_urdf: {path} is no URDF file: {type(error).__name__}: {error}.") from error
-    start = {} if start is None else {joint: number(f'read_urdf: start of "{joint}"', x) for joint, x in start.items()}
-    known = [j.name for j in model.joints]
-    for what, names in (("link", [link.name for link in model.links]), ("joint", known)):
+
+
+def _check_names(path: Path, model: Any) -> None:
+    """Refuse names that stand for two, and joints of unknown kinds."""
+    for what in ("link", "joint"):
+        names = [x.name for x in getattr(model, f"{what}s")]
         twice = sorted({name for name in names if names.count(name) > 1})
         require(not twice, f"{path}: names of {what}s must be unique, found more than once: {twice}.")
     for j in model.joints:
@@ -208,15 +226,22 @@ def read_urdf(file: str | Path, *, start: Mapping[str, float] | None = None) -> 
             raise InputError(
                 f'{path}: joint "{j.name}" is of kind "{j.type}", which is not known. Known: {", ".join(KINDS)}.'
             )
+
+
+def _check_start(joints: Sequence[Any], start: Mapping[str, float]) -> None:
+    """Refuse starts of joints that are not there, or have no coordinate."""
+    kinds = {j.name: j.type for j in joints}
     for joint in start:
-        require(joint in known, f'read_urdf: no joint "{joint}" to start with. {near(joint, known)}')
-    for j in model.joints:
+        require(joint in kinds, f'read_urdf: no joint "{joint}" to start with. {near(joint, kinds)}')
         require(
-            j.name not in start or j.type in COORDINATES,
-            f'read_urdf: joint "{j.name}" of kind "{j.type}" has no angle or displacement to start with. Place its child by the '
-            "<origin> of the joint.",
+            kinds[joint] in COORDINATES,
+            f'read_urdf: joint "{joint}" of kind "{kinds[joint]}" has no angle or displacement to start with. Place its child by '
+            "the <origin> of the joint.",
         )
 
+
+def _root(path: Path, model: Any) -> str:
+    """The link that no joint places; all others have one that does."""
     children = [j.child for j in model.joints]
     for child in children:
         held = [j.name for j in model.joints if j.child == child]
@@ -227,12 +252,7 @@ def read_urdf(file: str | Path, *, start: Mapping[str, float] | None = None) -> 
         )
     roots = [link.name for link in model.links if link.name not in children]
     require(len(roots) == 1, f"{path}: expected one root link, found {roots}.")
-
-    starts = _with_mimics(path, model, start)
-    frames, joints = _placed(model, roots[0], starts)
-    _tell(path, joints, starts)
-    bodies, carrier = _bodies(path, model, (roots[0], frames, joints))
-    return Robot(model.name or path.stem, roots[0], frames, joints, bodies, carrier)
+    return str(roots[0])
 
 
 def _tell(path: Path, joints: Mapping[str, RobotJoint], starts: Mapping[str, float]) -> None:

@@ -27,8 +27,8 @@ from ....linear.condensation import StepSolver
 from ....linear.redundancy import least
 from ....polynomials import lagrange
 from ....rotations import Array
-from ....system.barriers import over_barrier
 from ....system.compiled.declarations import constants
+from ....system.impossible_shapes import over_barrier
 from ....system.layout import State, States
 from ....system.serialisation import Memory, plain
 from ....system.speed_rows import speed_rows

@@ -1,4 +1,6 @@
-"""Bodies with an energy stay on their way: what a step stores in one was in it before, moved, or was brought by its forces.
+"""Shapes of bodies with an energy that balance forces and that no motion leads to: cells turned inside out, or crushed.
+
+Bodies stay on their way: what a step stores in one was in it before, moved, or was brought by its forces.
 
     V_1 - V_0  <=  |V_0| + 2 T_0 + |(f_0 + f_1) . (u_1 - u_0)|                                                  (1)
 
@@ -10,6 +12,7 @@ force has taken the body over.
 
 from __future__ import annotations
 
+from ..fem.cell_volumes import least_volume
 from ..rotations import Array
 from .layout import State
 from .system import System
@@ -28,5 +31,13 @@ def over_barrier(system: System, before: State, q: Array) -> str:
             continue
         moved = system.at(before.t, before.q, before.v).energies()["kinetic"]
         if V1 - V0 > abs(V0) + brought + 2.0 * moved:
+            return str(part.name)
+    return ""
+
+
+def inside_out(system: System, q: Array) -> str:
+    """The name of a body with a cell that is turned inside out in a configuration, "" where there is none; collective."""
+    for k, part in system.fields:
+        if part.field.nonlinear and least_volume(part.field, system.local_q(q, k)) <= 0.0:
             return str(part.name)
     return ""
