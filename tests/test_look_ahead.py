@@ -96,6 +96,29 @@ def test_moments_are_compared_with_forces_by_the_length_of_the_model(size: float
     np.testing.assert_array_equal(look._farthest(np.array([3.0 * moment, force])), 3.0 * moment)
 
 
+def ramps(t: float) -> float:
+    return 100.0 * max(t - 1.2, 0.0)
+
+
+def rises(t: float) -> float:
+    return 30.0 * float(np.sin(5.0 * (t - 1.7))) if t > 1.7 else 0.0
+
+
+@pytest.mark.parametrize(("stiffness", "load", "rtol"), [(4e4, ramps, 1e-4), (900.0, rises, 1e-3)])
+def test_a_load_that_begins_late_on_a_stiff_spring_is_seen(stiffness: float, load: Any, rtol: float) -> None:
+    """The step that its ends differ by took what it does within for a vibration: one for all of 2 s, off by 0.35 and 0.74."""
+    scene, mass = fmbd.Scene("late"), fmbd.RigidBody("mass", 1.0, 1.0, (0.0, 0.0))
+    rail = fmbd.prismatic("rail", fmbd.ground, mass, axis=(1, 0))
+    way = fmbd.displacement(rail)
+    scene.add(mass, rail, fmbd.joint_spring("spring", way, stiffness=stiffness, damping=20.0))
+    scene.add(fmbd.force("load", mass, lambda t: (load(t), 0.0)))
+    scene.sensor("place", way)
+    output = fmbd.Output(times=tuple(np.linspace(0.0, 2.0, 81)))
+    exact = fmbd.solve(scene, t_end=2.0, scheme=fmbd.Radau(3, rtol=1e-8), output=output)["place"]
+    run = fmbd.solve(scene, t_end=2.0, scheme=fmbd.GeneralizedAlpha(rtol=rtol), output=output)
+    assert np.abs(run["place"] - exact).max() < 20 * rtol * np.ptp(exact)
+
+
 def test_only_what_may_push_in_time_is_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
     """A state that is held has the same forces at all times, unless a load, a law, gravity or a row that turns says otherwise."""
 

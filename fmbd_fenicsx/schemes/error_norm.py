@@ -247,9 +247,9 @@ class NormOfWays(ErrorNorm):
         least = 1e-6, or what leaves 1e-12 or the roundoff of places at the start beside rtol
 
     so that bodies at rest, which move by roundoff, take large steps. Beside a motion that begins, what has moved so far is no
-    measure. What prescribed motions will move belongs to the way from the start. So does where a step has led that was refused
-    with an error below its way, error rtol w < w: it foretells the motion under loads that have just come. One that has gone
-    astray leaves nothing.
+    measure. What prescribed motions will move belongs to the way from the start. Where a step has led that was refused with an
+    error below its way, error rtol w < w, foretells the motion under loads that have just come: it counts as a way that fades
+    from step to step, as loads may have gone before they have moved anything so far. One that has gone astray leaves nothing.
 
     Where a frame hangs on a part of its body, what it does beside the mass of that is undone by displacements, which count.
     """
@@ -257,19 +257,24 @@ class NormOfWays(ErrorNorm):
     LEAST, FINEST = 1e-6, 1e-12
     # shares of a stretch at which prescribed motions are looked at
     PLACES = (0.118, 0.236, 0.382, 0.5, 0.618, 0.764, 0.882, 1.0)
-    keeps: ClassVar = {**ErrorNorm.keeps, "origin": _configuration, "way": plain()}
+    keeps: ClassVar = {**ErrorNorm.keeps, "origin": _configuration, **dict.fromkeys(("way", "foretold"), plain())}
 
     def __init__(self, start: State, system: System, rtol: float, atol: float | None, index: int) -> None:
         super().__init__(start, system, rtol, atol, index)
         self.origin: Array | None = None
-        self.way = 0.0
+        self.way = self.foretold = 0.0
 
     def take_back(self, known: tuple[Any, ...], error: float) -> None:
-        """With the way, but for one that is known to less than itself."""
-        *sizes, way = known
+        """With the way, which foretells that of steps to come unless it is known to less than itself."""
+        if error * self.rtol < 1.0:
+            self.foretold = max(self.foretold, self.way)
+        *sizes, self.way = known
         super().take_back(tuple(sizes), error)
-        if not error * self.rtol < 1.0:
-            self.way = way
+
+    @property
+    def counted(self) -> float:
+        """max(min(w, 1), least) of (1), with what is foretold."""
+        return max(min(max(self.way, self.foretold), 1.0), self.least)
 
     @property
     def largest(self) -> tuple[Any, ...]:
@@ -326,12 +331,12 @@ class NormOfWays(ErrorNorm):
             self.way = max(self.way, float(np.abs(moved[block]).max(initial=0.0)) / unit)
 
         sizes = self.scale.copy()
-        sizes[: s.n_frames * s.motions.n_twist] *= max(min(self.way, 1.0), self.least)
+        sizes[: s.n_frames * s.motions.n_twist] *= self.counted
         return sizes
 
     def of_lengths(self, x: Array) -> Array:
         """Lengths over what those of frames may be in error."""
-        share = self.rtol * max(min(self.way, 1.0), self.least)
+        share = self.rtol * self.counted
         return x / (share * self.system.length + (0.0 if self.atol is None else self.atol))
 
     @property

@@ -74,7 +74,7 @@ class CompiledControl:
             c.origin = self.store.address(self.twin.configurations(norm.origin[None])[0])
         self.own.lend(norm.q_size, norm.v_size, norm.deflections)
         self._fastest[:] = [norm.v_size[block].max(initial=0.0) for block in norm.sizes.blocks]
-        c.way, c.largest = norm.way, 0.0
+        c.way, c.foretold, c.largest = norm.way, norm.foretold, 0.0
 
         # where in which stretch
         c.count, c.place = parts(level), int(stretch.done * parts(level))
@@ -96,7 +96,7 @@ class CompiledControl:
         norm.v_size[self._coordinates] = speeds[self._coordinates]
         for block, speed in zip(norm.sizes.blocks, self._fastest, strict=True):
             norm.v_size[block] = speed
-        norm.way = c.way
+        norm.way, norm.foretold = c.way, c.foretold
 
         # where in which stretch, and the controller
         stretch.done, stretch.end = Fraction(c.place, c.count), c.end

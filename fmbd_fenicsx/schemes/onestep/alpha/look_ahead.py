@@ -17,6 +17,10 @@ turns them by a radian, the step is not tried: Newton's iteration for a weight t
 
     (M + s K) d + G^T mu = h^2 / 2 (f(t + h) - f(t)),     G d = 0                                                        (3)
 
+Stiff parts follow loads at once, and what is left the error of the step takes for a vibration: it does not see that a load began
+late within the step. What no cubic through the f(t_k) follows, some sixth of what a kink leaves the line by, counts six times in
+(1) too, beside the way of (3), which foretells that of the step.
+
 Laws are as stiff here as in the state that is held, and what sticks may give way under a load within the step and stick again at
 its end. With the f(t_k) farthest from f(t), and the one farthest from that, this moves
 
@@ -49,6 +53,8 @@ LOOKS = (0.118, 0.236, 0.382, 0.5, 0.618, 0.764, 0.882)  # where in a step loads
 # where else drives are, whose steps may have to be much smaller: a few in a decade
 FINER = 2.45 ** -np.arange(2.0, 14.0)
 SAFETY = 0.9
+_AT = np.vander((0.0, *LOOKS, 1.0), 4)
+UNFOLLOWED = (np.eye(len(_AT)) - _AT @ np.linalg.pinv(_AT))[:, 1:-1]  # by a cubic, of what leaves a line between
 
 
 @dataclass(frozen=True)
@@ -118,7 +124,29 @@ class LookAhead:
         largest = h * h / 6.0 * self._farthest(unseen.reshape(-1, forces.shape[1]))
         self.norm.update(s, h)
         missed = self._at_most(s, h, largest, lambda e: self._error(h, e))
-        return worst(missed, self._giving_way(s, h, forces[0] - forces))
+        if (known := worst(missed, self._giving_way(s, h, forces[0] - forces))) > 1.0:
+            return known
+
+        rough = (UNFOLLOWED @ between).reshape(-1, forces.shape[1])
+        most = self._largest(rough)
+        return self._unfollowed(s, h, rough[most], jumps[most // len(_AT)])
+
+    def _unfollowed(self, s: State, h: float, rough: Array, jump: Array) -> float:
+        """The norm of (1) of what no cubic follows, in a step of size h (s) whose ends differ by a ``jump``; where that is above
+        one the way of (3) is foretold.
+        """
+        if self.system.max_abs(rough) == 0.0:
+            return 0.0
+        before, error = self.norm.foretold, 0.0
+        for weights in self._matrices(h):
+            way = self._way(self._moved(s, 0.5 * h * h * jump, weights))
+            self.norm.foretold = max(before, way)
+            self.norm.update(s, h)
+            error = self._error(h, self._moved(s, h * h * rough, weights))
+            if error <= 1.0:
+                self.norm.foretold = before
+                break
+        return error
 
     def _error(self, h: float, e: Array) -> float:
         return self.norm(h, e, np.zeros_like(e))
@@ -140,9 +168,13 @@ class LookAhead:
             return np.inf  # a law of the user's own that ends there
 
     def _farthest(self, pushes: Array) -> Array:
-        """The largest of forces (k, n_v), moments over the length of the model; the same one on all ranks."""
+        """The largest of forces (k, n_v)."""
+        return np.asarray(pushes[self._largest(pushes)])
+
+    def _largest(self, pushes: Array) -> int:
+        """Which of forces (k, n_v) is the largest, moments over the length of the model; the same one on all ranks."""
         forces = pushes / self.system.units**2  # units, once more, make lengths of increments
-        return np.asarray(pushes[self.system.each_max_abs(forces).argmax()])
+        return int(self.system.each_max_abs(forces).argmax())
 
     def _lost(self, s: State, h: float, push: Array) -> float:
         """The norm of (4) for one force."""
@@ -176,11 +208,18 @@ class LookAhead:
         """The size of what a force moves in a step of h (s), or more where that is below one."""
         if self.system.max_abs(force) == 0.0:
             return 0.0  # whatever the matrix, which may have no factor so far
-        # a softer matrix that is at hand tells more than the error, and costs no factor
+        found = 0.0
+        for weights in self._matrices(h):
+            found = size(self._moved(s, force, weights))
+            if found <= 1.0:
+                break
+        return found
+
+    def _matrices(self, h: float) -> tuple[Weights, ...]:
+        """Weights of a softer matrix that is at hand, which tells more than the error and costs no factor, and of a step of h."""
         softer, own = self.solver.weights, self.weights(h)
         at_hand = (softer.cm, softer.ck < own.ck) == (own.cm, True)
-        found = size(self._moved(s, force, softer if at_hand else own))
-        return size(self._moved(s, force, own)) if at_hand and not found <= 1.0 else found
+        return (softer, own) if at_hand else (own,)
 
     def _moved(self, s: State, force: Array, weights: Weights) -> Array:
         """What a force moves, by the matrix of given weights."""

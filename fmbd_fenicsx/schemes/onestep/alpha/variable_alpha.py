@@ -68,7 +68,7 @@ if TYPE_CHECKING:
     from .generalized_alpha import GeneralizedAlpha
 
 KEPT = 9  # sets of elastic factors: those of eight sizes, and that of the whole stretch
-(KEEPS,) = constants("marches/control.c", "KEEPS")
+KEEPS, KNOWN_FADES = constants("marches/control.c", "KEEPS", "KNOWN_FADES")
 
 
 class VariableAlpha(Around):
@@ -230,6 +230,7 @@ class VariableAlpha(Around):
     def _count(self, h: float, error: float) -> None:
         """An accepted step of size h (s), and its error."""
         self.stats.steps += 1
+        self.norm.foretold *= KNOWN_FADES
         self.error, self.proposed = error, self.control.accepted(h, error)
         # errors of vibrations pass through zero: no sign that larger steps will do
         if self.proposed > h:

@@ -486,7 +486,7 @@ typedef struct {
 /* Error control of a march of generalized-alpha: ways so far, and what the next step may be. See control.c. */
 typedef struct {
     struct OwnSteps *own;              /* tolerances, sizes so far, what proposes sizes: see own_steps.c */
-    double least, way, reached;
+    double least, way, reached, foretold; /* shares of the length; foretold: by a step that was refused */
     double unknown;                    /* what increments of places may be roundoff of, m */
     const double *origin;              /* the configuration that ways are measured from */
     long frames, core;                 /* that move, and entries like v of these and of what is no field */

@@ -68,7 +68,7 @@ static double allowed_error(const OwnSteps *o, double size, double unknown, doub
 static double error_norm(const System *s, const Control *c, const double *q, const double *e, double h)
 {
     const OwnSteps *o = c->own;
-    const double share = fmax(fmin(c->reached, 1.0), c->least), per = h > 0.0 ? h : 1.0;
+    const double share = fmax(fmin(fmax(c->reached, c->foretold), 1.0), c->least), per = h > 0.0 ? h : 1.0;
     double core = 0.0, worst = 0.0;
     for (int b = 0; b < c->frames; b++) {
         double own[TWIST], R[D * D], bent[TWIST] = {0.0};
@@ -97,6 +97,7 @@ static double error_norm(const System *s, const Control *c, const double *q, con
 }
 
 static const double FAR_JUMP = 1e6; /* times accelerations of a state */
+static const double KNOWN_FADES = 0.95; /* from step to step, of a way that was foretold */
 
 /* The error with that of (3) of variable_alpha.py, filtered with what is stiff at both ends of a step, where it may be the larger. */
 static int with_speeds(System *s, const double *p, Control *c, const Block *past, const Block *out, double *error)
@@ -158,6 +159,7 @@ static int judged(System *s, const double *p, Control *c, const Block *past, con
     c->largest = fmax(c->largest, error);
     c->peak = fmax(error, c->fading * c->peak);
     c->way = c->reached;
+    c->foretold *= KNOWN_FADES;
     memcpy(c->fastest, c->faster, 2 * sizeof(double));
     for (long k = 0; k < c->coordinates; k++) {
         const int i = c->coordinate[k];
@@ -319,7 +321,7 @@ static int smaller_size(System *s, double *p, Control *c, const Block *now, int 
     c->tried = h;
     take_back(s, p, c, now);
     if (*verdict != SIZE || !c->chooses || s->remembers || !refused_size(c->own, now, h, c->own->order, &found)) return 0;
-    if (c->trial * c->own->rtol < 1.0) c->way = c->reached; /* it foretells the motion */
+    if (c->trial * c->own->rtol < 1.0) c->foretold = fmax(c->foretold, c->reached);
     c->proposed = found.proposed;
     c->refused++;
     c->refusals++;
