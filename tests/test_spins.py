@@ -125,15 +125,17 @@ def test_the_attitude_of_a_mesh_does_not_matter() -> None:
 
 
 def test_a_bound_of_frequencies_is_two_products() -> None:
-    """One by one quadratic displacements took a tenth of the start of a small body."""
+    """Once: quadratic displacements one by one, for each judge that asks, took a tenth of the start of a small body."""
     scene = fmbd.Scene("free")
     scene.add(blade("floating")[0])
     field, asked = scene.build()[0].part("blade")[1].field, []
     of_stiffness, of_mass = field.stiffness, field.mass_columns
     field.stiffness = lambda U: asked.append(U.shape) or of_stiffness(U)
     field.mass_columns = lambda U: asked.append(U.shape) or of_mass(U)
-    first_eigenvalue_bound(field)
+    bounds = [first_eigenvalue_bound(field), first_eigenvalue_bound(field)]
     assert len(asked) == 2
+    field.replace_mass(4.0 * field.M)
+    assert bounds == [bounds[0], pytest.approx(4.0 * first_eigenvalue_bound(field))]
 
 
 def test_steps_that_are_tried_only_tell_nothing() -> None:

@@ -167,6 +167,7 @@ class NodalField:
         self.M.assemble()
         self._mass_matrix: Any = None
         self.redistributed = False  # whether masses were moved between nodes, see replace_mass
+        self.kept_bound: tuple[int, float] | None = None  # of frequencies with a tangent: mechanics.elastic.modes
         self._of_component = [self.M.createVecRight(), self.M.createVecLeft()]
         self.known_moments: dict[str, Moments] = {}  # by surface; another field of the same body may take them
         self._rigid_properties()
@@ -212,7 +213,7 @@ class NodalField:
         for x in (self.M, self._mass_matrix):
             if x is not None:
                 x.destroy()
-        self.M, self._mass_matrix, self.redistributed = M, None, True
+        self.M, self._mass_matrix, self.redistributed, self.kept_bound = M, None, True, None
         self._rigid_properties()
 
     def _rigid_properties(self) -> None:

@@ -95,8 +95,15 @@ def waves(field: Any, draw: np.random.Generator) -> Array:
 
 def first_eigenvalue_bound(field: Field) -> float:
     """Rayleigh quotients of quadratic displacements without their rigid part: an upper bound in (rad/s)^2, close for slender
-    bodies of one material. Collective.
+    bodies of one material. Collective. The field keeps that of its newest tangent.
     """
+    known = field.kept_bound
+    if known is None or known[0] != field.tangents:
+        known = field.kept_bound = field.tangents, _bound(field)
+    return known[1]
+
+
+def _bound(field: Field) -> float:
     return float(_rayleigh(field, np.stack([shape.ravel() for shape in _bent(field)], axis=1))[0].min())
 
 
