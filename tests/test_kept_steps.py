@@ -111,6 +111,16 @@ def test_little_room_for_kept_steps_changes_nothing(name: str, scheme: Any, monk
     assert_alike(run(name, scheme), found, 1e-9)
 
 
+@compiled
+@pytest.mark.parametrize("name", ["plane", "memory"])
+def test_ends_that_are_told_with_roundoff_are_those_of_kept_steps(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Instants in a step whose end was told 1e-16 s before what it had kept were told by the next step, backwards."""
+    scheme, steps = fmbd.GeneralizedAlpha(rtol=1e-4), kept.Kept.steps
+    wanted = run(name, scheme)
+    monkeypatch.setattr(kept.Kept, "steps", lambda self, t: steps(self, np.nextafter(t, 0.0)))
+    assert_alike(run(name, scheme), wanted, 0.0)
+
+
 CONTACTS = ("bouncing 2", "cam", "stops and friction", "pid", "own shape")
 
 

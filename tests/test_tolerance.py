@@ -191,6 +191,13 @@ def test_no_step_is_shared_with_the_run_that_tells_an_error() -> None:
     assert true <= 1e-5 and 0.5 < run.certificate["planet"].total / true < 3.0
 
 
+def test_halves_of_steps_are_recorded_at_their_own_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    """These are the ends that the steps have, and more: instants within steps would be looked for one by one beside memories."""
+    case, made = CASES["rod, Radau"], marches(monkeypatch)
+    fmbd.solve(case.scene(), t_end=case.t_end, tol=case.tol(case.tolerances[0]), **case.settings)
+    assert [x.output.times for x in made if x.scheme.rtol < 1e-4] == [None]
+
+
 def test_a_narrow_peak_of_an_error_is_seen() -> None:
     """A relaxation oscillation jumps within 1/200 of the run: 100 common instants of 8 500 and 1 600 steps told 0.17 of it."""
     body = fmbd.CoordinateBody("x", np.eye(1), lambda q, v, t: 20.0 * (1.0 - q**2) * v - q, (2.0,), (0.0,))

@@ -126,7 +126,7 @@ def _by_smaller_steps(
         finer = again(problem, schedule, 2 * schedule.steps, given.recorder.output.times, whole=False)
     except UNFIT:
         return compare_steps(expected, given, coarser) if coarser else None
-    return replace(by_half(expected, given, finer, coarser=coarser, larger=larger), unseen=not coarser)
+    return by_half(expected, given, finer, coarser=coarser, larger=larger)
 
 
 def by_half(
@@ -137,29 +137,22 @@ def by_half(
     coarser: Sequence[Compared],
     larger: TimeError | None,
 ) -> TimeError:
-    """Errors of the ``given`` run as one with half its step tells them, with the orders that it and some ``coarser`` ones show:
+    """Errors of the ``given`` run as one with half its step tells them by orders 1 <= p <= 2, with those that it and some
+    ``coarser`` ones show.
 
-    |x_h - x| ~ |x_h - x_h/2| / (1 - 2^-p),     1 <= p <= 2                                                   (1)
-
-    p the order of the scheme in the sensor, or the one that is seen where it is clearly lower, of one about. For motion of order
-    one the truth is 3/2 of this with p = 2, for motion that is off by its own size in both runs 3/4. Kinks may leave about the
-    same in both: what ``larger`` steps tell beyond it counts up to :data:`FURTHER` times this.
+    p is the order of the scheme in the sensor, or the one that is seen where it is clearly lower, of one about. For motion of
+    order one the truth is 3/2 of this with p = 2, for motion that is off by its own size in both runs 3/4. Kinks may leave about
+    the same in both: what ``larger`` steps tell beyond it counts up to :data:`FURTHER` times this. ``unseen`` without coarser
+    ones.
     """
-    orders = compare_steps(expected, finer, [given, *coarser]).orders
-    errors = _left_by(given, finer.recorder, expected, orders)
-    if larger is not None:
-        errors = {n: at_least(x, larger.errors[n], FURTHER) for n, x in errors.items()}
-    return TimeError(errors, orders, given, halved=True, struck=instants_off(given.recorder, finer.recorder, 2.0))
-
-
-def _left_by(
-    given: Compared, finer: Recorder, expected: Mapping[str, int], seen: Mapping[str, float]
-) -> dict[str, Deviation]:
-    """(1) of :func:`by_half`."""
+    seen = compare_steps(expected, finer, [given, *coarser]).orders
     orders = {n: min(p, 2.0) for n, p in expected.items()}
     lower = {n: max(seen[n], 1.0) for n, p in orders.items() if SEEN <= seen[n] < SEEN * p}
-    factors = {n: 1.0 / (1.0 - 2.0**-p) for n, p in {**orders, **lower}.items()}
-    return {n: scaled(x, factors[n]) for n, x in between(finer, given.recorder, factors).items()}
+    errors = of_order({**orders, **lower}, given, finer)
+    if larger is not None:
+        errors = {n: at_least(x, larger.errors[n], FURTHER) for n, x in errors.items()}
+    struck = instants_off(given.recorder, finer.recorder, 2.0)
+    return TimeError(errors, seen, given, halved=True, unseen=not coarser, struck=struck)
 
 
 def jump_errors(problem: Problem, given: Compared, jumps: Sequence[float]) -> TimeError | None:
@@ -170,12 +163,11 @@ def jump_errors(problem: Problem, given: Compared, jumps: Sequence[float]) -> Ti
     schedule = step_schedule(with_break_points(problem.scene, tuple(jumps)), problem.scheme, t_end, t_end / steps)
     wanted = Output(energy=False, progress=False, times=tuple(given.recorder.times))
     try:
-        finer = companion(problem, schedule, wanted).recorder
+        finer = Compared(companion(problem, schedule, wanted).recorder, schedule, problem.scheme)
     except UNFIT:
         return None
     expected = expected_orders(problem.scheme, problem.scene, problem.system)
-    unseen = dict.fromkeys(finer.series, float("nan"))
-    return TimeError(_left_by(given, finer, expected, unseen), unseen, given, halved=True)
+    return replace(by_half(expected, given, finer, coarser=(), larger=None), unseen=False)
 
 
 def doubtful(
@@ -256,12 +248,16 @@ def compare_steps(
 
 
 def of_order(
-    expected: Mapping[str, float], given: Compared, coarser: Compared, share: float, least: float = 0.0
+    expected: Mapping[str, float], given: Compared, other: Compared, share: float = 1.0, least: float = 0.0
 ) -> dict[str, Deviation]:
-    """Errors of a run as one with larger steps tells them, by a ``share`` of the expected orders, one at least if need be."""
-    ratio = given.steps / coarser.steps
-    factors = {n: 1.0 / (ratio ** max(share * p, least) - 1.0) for n, p in expected.items()}
-    return {n: scaled(x, factors[n]) for n, x in between(given.recorder, coarser.recorder, factors).items()}
+    """Errors of a run as one with larger or smaller steps tells them, by a ``share`` of the expected orders, at least so much:
+
+    x - x_h ~ (x_h - x_H) / ((H/h)^p - 1),     H > h or H < h                                                 (1)
+    """
+    ratio = given.steps / other.steps
+    fine, coarse = (given, other) if ratio > 1.0 else (other, given)
+    factors = {n: 1.0 / abs(ratio ** max(share * p, least) - 1.0) for n, p in expected.items()}
+    return {n: scaled(x, factors[n]) for n, x in between(fine.recorder, coarse.recorder, factors).items()}
 
 
 def falling_slowly(

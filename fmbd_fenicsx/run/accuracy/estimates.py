@@ -29,7 +29,7 @@ from .beside_steps import algebra_error, tighter_run, with_damped, with_early_re
 from .certificate import kinked, stated_of, uncertain_of
 from .companion_runs import UNFIT, Compared, as_recorded, companion
 from .deviation import Deviation, scaled
-from .equal_steps import equal_steps_error
+from .equal_steps import TimeError, equal_steps_error
 from .jumps_at_records import jumps_at_records
 from .jumps_in_time import jumps_about_kinks
 from .larger_steps import SLOW, beyond_by_halves
@@ -255,11 +255,8 @@ def state_errors(run: Run, problem: Problem, made: Compared, output: Output) -> 
             problem, made = tight
             found = equal_steps_error(problem, made, jumps, kinked=has_kinks)
 
-        errors = with_early_rest(found.errors, problem, made)
-        errors, run.damped = with_damped(errors, problem, made.schedule)
-        run.struck = jumps_at_records(errors, made.recorder, found.struck)
-        run.deviations["time"] = errors
-        run.observed_order, run.halved, run.alone, made = found.orders, found.halved, found.unseen, found.with_others
+        take_time_error(run, found, problem, made, last=True)
+        made = found.with_others
         run.seconds["error estimate"] = clock.perf_counter() - ended
 
     if output.estimate_reduction:
@@ -271,6 +268,19 @@ def state_errors(run: Run, problem: Problem, made: Compared, output: Output) -> 
         run.deviations["space"], run.space_unstated = space_error(problem, made)
         run.seconds["space estimate"] = clock.perf_counter() - ended
     warn_of_uncertain(run, run.series)
+
+
+def take_time_error(run: Run, found: TimeError, problem: Problem, made: Compared, *, last: bool) -> None:
+    """Errors of time and what was seen of them, in the run that was ``made``; where it may be the ``last`` one, with what runs
+    with other equal steps do not tell; collective.
+    """
+    errors = found.errors
+    if last:
+        errors = with_early_rest(errors, problem, made)
+        errors, run.damped = with_damped(errors, problem, made.schedule)
+    run.struck = jumps_at_records(errors, made.recorder, found.struck)
+    run.deviations["time"] = errors
+    run.observed_order, run.halved, run.alone = found.orders, found.halved, found.unseen
 
 
 def _tell_jumps(run: Run, jumps: tuple[float, ...]) -> None:

@@ -135,8 +135,8 @@ def beyond_by_halves(problem: Problem, given: Compared, of: Built | None = None)
     said = problem.said
     if not (said.takes_given and (said.ends_ahead or problem.scheme.order <= 2)) or seen_by_ends(problem.system):
         return {}
-    recorder, schedule = given.recorder, given.schedule
-    if not _at_ends(given):
+    recorder, schedule, at_ends = given.recorder, given.schedule, _at_ends(given)
+    if not at_ends:
         asked = replace(problem, scene=recorder.scene)
         known = companion(asked, schedule, Output(energy=False, progress=False))
         given = replace(given, recorder=known.recorder)
@@ -146,10 +146,13 @@ def beyond_by_halves(problem: Problem, given: Compared, of: Built | None = None)
     halves = replace(schedule, marks=tuple(sorted(ends)), given=True)
     # which has its part of the iteration's error only
     sharper = replace(problem, scheme=replace(problem.scheme, rtol=max(SHARPER * problem.scheme.rtol, FINEST)))
-    finer = _with_steps(sharper, halves, as_recorded(recorder, halves), of)
-    there = {} if finer is None else finer.recorder.series
-    seen = {n: x for n, x in there.items() if x.shape == recorder.series[n].shape}  # not those of each mesh
-    return {n: Deviation(recorder.times, x - recorder.series[n]) for n, x in seen.items()}
+    wanted = Output(energy=False, progress=False) if at_ends else as_recorded(recorder, halves)
+    finer = _with_steps(sharper, halves, wanted, of)
+    if finer is None:
+        return {}
+    there = finer.recorder.series
+    alike = [n for n, x in recorder.series.items() if x.shape[1:] == there[n].shape[1:]]  # not those of each mesh
+    return between(finer.recorder, recorder, alike)
 
 
 def two_in_one(solved: Solved) -> Compared | None:

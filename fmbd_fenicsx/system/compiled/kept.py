@@ -130,9 +130,9 @@ class Kept:
         yield from self._some(np.repeat(np.arange(len(ends)), len(places)), instants.ravel())
 
     def _ends(self, t: float) -> Array:
-        """When the steps that are kept end, s: the newest one may have been taken back."""
+        """When the steps that are kept end, s: the newest one may have been taken back; times are told with roundoff."""
         ends = self._room["newest"][: self.c.count, 0]
-        return ends[: np.searchsorted(ends, t, side="right")]
+        return ends[: np.searchsorted(ends, t + self.c.roundoff, side="right")]
 
     def _some(self, every: np.ndarray, instants: Array) -> Iterator[KeptSteps]:
         """The steps with these places in the room, at an instant (s) each."""

@@ -29,13 +29,11 @@ from ...result import Run
 from ...schedule import step_schedule
 from ...settings import check_tangent, default_scheme
 from ...single_run import Solved
-from ..beside_steps import with_damped, with_early_rest
 from ..certificate import FLOOR, Certificate, moving, stated_of, struck_or_sampled
 from ..companion_runs import UNFIT, Compared
 from ..deviation import Deviation
 from ..equal_steps import Orders, TimeError, astray, between, known_orders
-from ..estimates import usual_errors, warn_of_uncertain
-from ..jumps_at_records import jumps_at_records
+from ..estimates import take_time_error, usual_errors, warn_of_uncertain
 from .attempts import Attempt, Failures, of_jumps, of_space, tell_of_dear_attempt
 from .foreseen_steps import with_steps_foreseen
 from .next_attempt import (
@@ -312,8 +310,6 @@ def _state_errors(
         solved = found.instead
         plan = replace(plan, schedule=solved.compared.schedule)
     run = solved.run
-    run.deviations["time"] = found.errors
-    run.observed_order, run.halved = found.orders, found.halved
     run.seconds["error estimate"] = clock.perf_counter() - ended
 
     _other_errors(plan, tol, shared, solved, found.with_others)
@@ -360,7 +356,7 @@ def _all_at_once(plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, solved
 
 
 def _time_error(plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, solved: Solved) -> TimeError:
-    """The error by the steps, or by the scheme's tolerance; collective."""
+    """State the error by the steps, or by the scheme's tolerance; collective."""
     run, alone = solved.run, not meshed_bodies(plan.scene) and not modal_bodies(plan.scene)
     spans = moving(run.series, run.scene.sensors, FLOOR)
     # at spaces, with few steps: of slender bodies twice as many cost little, and tell the next ones
@@ -372,15 +368,12 @@ def _time_error(plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, solved:
     room = WHOLE - _reserved(plan, shared, share_of) if plan.steps and not alone else SAFE if alone else WHOLE
     too_coarse = any(share_of(x) > AIM for x in plan.known.errors.values() if x)
     allowed = Allowed(tuple(tol), share_of, room, rough=alone or looked, last=not too_coarse)
-    if not plan.steps:
-        return shared.tolerance_error(solved, allowed)
-    found = shared.time_error(solved, plan.orders, allowed)
-    made, errors = found.instead or solved, found.errors
-    if allowed.nearly_lets(errors):
-        errors = with_early_rest(errors, made.problem, made.compared)
-        errors, made.run.damped = with_damped(errors, made.problem, made.compared.schedule)
-    made.run.struck = jumps_at_records(errors, made.compared.recorder, found.struck)
-    return replace(found, errors=errors)
+    equal = bool(plan.steps)
+    found = shared.time_error(solved, plan.orders, allowed) if equal else shared.tolerance_error(solved, allowed)
+    made = found.instead or solved
+    last = equal and allowed.nearly_lets(found.errors)
+    take_time_error(made.run, found, made.problem, made.compared, last=last)
+    return found
 
 
 def _reserved(plan: AttemptPlan, shared: SharedSpaces, share_of: Callable[[dict[str, Deviation]], float]) -> float:
