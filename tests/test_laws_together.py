@@ -348,6 +348,10 @@ def test_what_steps_have_seen_of_a_law_is_not_told() -> None:
     assert found.name == "b" and np.allclose(found.between, (2.0, 8.5), atol=2e-3)
     assert found.at == pytest.approx(1.5 * np.pi, abs=0.05)
 
+    # what rises by less than it is at both ends: a law that bends, and steps that follow it
+    bent = Repeatable("force", "c", lambda s, rate, t: 1.0 + 0.4 * np.sin(s))
+    assert not list(passed_over.Asked.of(np.array((0.0, np.pi, 2.0 * np.pi))).passed_over([bent], 0.0))
+
 
 @pytest.mark.parametrize("space", [False, True])
 def test_a_bump_of_a_road_that_steps_pass_over_is_told(space: bool) -> None:

@@ -217,6 +217,8 @@ def test_sums_that_mean_nothing_are_refused() -> None:
         fmbd.element_force(scene.forces["belt"])
     with pytest.raises(InputError, match='"stop" stops one joint coordinate'):
         fmbd.joint_limit("stop", a - b, lower=-1.0)
+    shifted = fmbd.joint_limit("stop", a + 0.5, lower=-1.0, upper=2.0)
+    assert (shifted.lower, shifted.upper) == (-1.5, 1.5)
     other = fmbd.Scene("other")
     other.add(a.joint.b, a.joint)
     other.sensor("sum", a + b)

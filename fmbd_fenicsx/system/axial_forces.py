@@ -157,10 +157,8 @@ def axial_force(ev: Evaluation, k: int, part: Any, on_surfaces: Array) -> tuple[
     is not slender. Collective.
     """
     if isinstance(part, ReducedPart):
-        constants = part.constants
-        centre = constants.S[:, 0] / constants.mass
-        stress = part.virial(on_surfaces[ev.system.port_slice(k)], ev.t, ev.rotation[part.frame], centre)
-        sizes, axes = constants.derived.principal
+        stress = part.virial(on_surfaces[ev.system.port_slice(k)], ev.t, ev.rotation[part.frame])
+        sizes, axes = part.constants.derived.principal
     else:
         f = part.field
         strained = f.stiffness(ev.system.local_q(ev.q, k)) - f.loads.constant(ev.t, ev.rotation[part.frame])[1].ravel()

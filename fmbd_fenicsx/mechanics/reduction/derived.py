@@ -23,7 +23,7 @@ class Derived:
 
     Attributes: ``mass`` (m, m) of the modes, kg; ``rms`` (m,) of their displacements over the mass, m; ``rates`` (n_twist, m)
     mean twist of the mass in a frame that hangs on a part of it, None in mean axes, where it is roundoff;
-    ``first_frequency`` of the free modes, rad/s; ``principal``: second moments of mass about the centre, ascending, and axes.
+    ``first_frequency`` of the free modes, rad/s; ``principal``: second moments of mass, ascending, and axes.
     """
 
     mass: Array
@@ -67,8 +67,7 @@ def derived(constants: Sequence[ReducedConstants]) -> list[Derived]:
         L = np.linalg.cholesky(modal)
         scaled = np.linalg.solve(L, np.linalg.solve(L, K).swapaxes(1, 2))
         first = np.sqrt(np.linalg.eigvalsh(scaled)[:, 0])
-    centre = S[:, :, 0] / mass[:, None]
-    sizes, axes = np.linalg.eigh(about[:, 0] - mass[:, None, None] * centre[:, :, None] * centre[:, None])
+    sizes, axes = np.linalg.eigh(about[:, 0])
     return [
         Derived(modal[i], rms[i], rates[i] if hangs[i] else None, float(first[i]), (sizes[i], axes[i]))
         for i in range(len(constants))

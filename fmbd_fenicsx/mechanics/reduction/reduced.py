@@ -324,18 +324,14 @@ class ReducedPart(Part):
             stress = stress - load.factor(motion.t, self.name) * 0.5 * (on_modes + on_modes.T)
         return stress
 
-    def virial(self, port: Array, t: float, R: Array, centre: Array) -> Array:
-        """sum f (X - centre)^T of forces f on the ports and of loads, body axes, (d, d): the sum of the stress that slopes
-        work on, N m.
-        """
-        d, blocks = self.dim, (-1, 1 + self.dim, self.dim)
-        f, at = port.reshape(blocks), self.reference.reshape(blocks).copy()
-        at[:, 0] -= centre
-        out: Array = f.reshape(-1, d).T @ at.reshape(-1, d)
+    def virial(self, port: Array, t: float, R: Array) -> Array:
+        """sum f X^T of forces f on the ports and of loads, body axes, (d, d): the sum of the stress that slopes work on, N m."""
+        d = self.dim
+        out: Array = port.reshape(-1, d).T @ self.reference.reshape(-1, d)
         for load, b in self.constants.loads:
             if not load.internal:
                 axes = np.eye(d) if load.follower else R.T
-                own = load.factor(t, self.name) * (axes @ b[0] - np.outer(self._load_sum(load, R), centre))
+                own = load.factor(t, self.name) * (axes @ b[0])
                 out += own + turned_virial(own) if load.carried else own
         return out
 
