@@ -194,7 +194,7 @@ def next_plan(
     if done and not (unseen or over["time"] > wanted):
         return made, " and ".join(done)
 
-    factor = 0.25 if unseen else _factor(plan, run, tol, shares=(over["time"], wanted), history=history)
+    factor = 0.25 if unseen else _factor(plan, run, tol, shares=(over["time"], wanted))
     finer = finer_steps(plan, factor)
     if not plan.steps:
         finer = replace(finer, scheme=shared.tighter(made.scene, finer.scheme, _sure(run)))
@@ -361,9 +361,7 @@ def _foreseen(plan: AttemptPlan) -> bool:
     return plan.before is not None or slender(plan.scene)
 
 
-def _factor(
-    plan: AttemptPlan, run: Run, tol: Tolerance, *, shares: tuple[float, float], history: Sequence[Attempt]
-) -> float:
+def _factor(plan: AttemptPlan, run: Run, tol: Tolerance, *, shares: tuple[float, float]) -> float:
     """By what steps, or the scheme's tolerance, are multiplied, so that the error of time falls from one share to another."""
     now, wanted = shares
     if plan.steps:
@@ -372,12 +370,7 @@ def _factor(
         sure = SURE if run.halved and _none_seen(run, tol) else 1.0  # larger ones do not even end, or have kinks
         return float(np.clip((sure * wanted / now) ** (1.0 / order), most, LEAST))
 
-    # errors of controlled runs follow the tolerance with a slope of their own
-    same = [a for a in history if (a.meshes, a.modes) == (plan.meshes, plan.modes)]
-    slope = usual_power(run.scheme)
-    if same and same[-1].worst > now:
-        slope = float(np.clip(np.log(same[-1].worst / now) / np.log(same[-1].step / plan.step), 0.5, 1.2))
-    return float(np.clip(_sure(run) * (wanted / now) ** (1.0 / slope), 1e-6, 0.5))
+    return float(np.clip(_sure(run) * (wanted / now) ** (1.0 / usual_power(run.scheme)), 1e-6, 0.5))
 
 
 def _sure(run: Run) -> float:

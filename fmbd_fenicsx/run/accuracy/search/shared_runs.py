@@ -42,7 +42,7 @@ from ..equal_steps import (
 from ..estimates import looked_at, run_like
 from ..larger_steps import two_in_one
 from ..orders import REGULAR, expected_orders, highest_order, resolved, seen_by_ends
-from .shares import DOUBTED, Allowed
+from .shares import Allowed
 
 FARTHEST = 8.0  # ratio of steps up to which a run tells the error of one with smaller steps
 BEYOND = 20.0  # the same where they show the order of the scheme
@@ -301,10 +301,7 @@ class SharedRuns:
             others = [self._with(solved, n) for n in (half, farther)]
         except UNFIT:
             return doubted, coarser
-        made = compare_steps(orders_of(solved.problem), given, others)
-        # steps of about the same size may tell other errors
-        apart = any(found.errors[n].size > DOUBTED * made.errors[n].size for n in allowed.sensors)
-        return (replace(made, unseen=True) if apart else made), others
+        return compare_steps(orders_of(solved.problem), given, others), others
 
     def _unseen(self, solved: Solved, coarser: Compared, allowed: Allowed) -> TimeError | None:
         """The error by the steps from one run with larger ones, where no order has to be seen: half of that of the scheme would
