@@ -411,3 +411,27 @@ def test_a_function_of_numbers_moves_in_time() -> None:
         scene.sensor("pull", fmbd.reaction("rope"))
         rates.append(fmbd.solve(scene, t_end=0.02, dt=2e-3)["pull"])
     assert np.abs(rates[1] - rates[0]).max() < 1e-5 * np.abs(rates[0]).max()
+
+
+@pytest.mark.parametrize("scheme", [fmbd.Radau(3, rtol=1e-8), fmbd.BDF(rtol=1e-8)], ids=lambda s: s.name)
+def test_a_joint_by_a_table_in_steps_of_the_scheme_s_choice(scheme: Any) -> None:
+    """The end of a double pendulum glides along a spline, as along the sine behind it; rates are asked for before all else."""
+
+    def guided(height: Any) -> fmbd.Scene:
+        bodies = [fmbd.RigidBody(f"{k}", 1.0, 0.1, position=(k + 0.5, 0.0)) for k in range(2)]
+        scene = fmbd.Scene("guided", gravity=(0, -9.81))
+        scene.add(*bodies, fmbd.revolute("near", fmbd.ground, bodies[0], center=(0, 0)))
+        scene.add(fmbd.revolute("far", *bodies, center=(1, 0)))
+
+        def held(xa: Any, Ra: Any, xb: Any, Rb: Any, t: Any) -> Any:
+            return np.array([xb[1] - 0.1 * (height(xb[0]) - np.sin(1.5))])
+
+        scene.add(fmbd.own_joint("guide", fmbd.ground, bodies[1], held, center=(1.5, 0.0)))
+        scene.sensor("x", fmbd.position(bodies[1]))
+        return scene
+
+    places = np.linspace(0.0, 2.0, 201)
+    run, exact = (
+        fmbd.solve(guided(height), t_end=0.2, scheme=scheme) for height in (CubicSpline(places, np.sin(places)), np.sin)
+    )
+    assert run["x"][-1] == pytest.approx(exact["x"][-1], abs=1e-7)

@@ -97,7 +97,7 @@ class PythonKind(Kind):
                 return
             try:
                 answer[:] = self._found(which, items, whole=not W)
-                newest[:] = key, known[t], answer.copy()
+                newest[:] = key, known.get(t), answer.copy()  # none, where nothing was asked
             except Exception as error:
                 self.function.error = self.function.error or error
                 answer[:] = np.nan
