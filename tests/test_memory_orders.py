@@ -16,7 +16,8 @@ from fmbd_fenicsx.errors import CallbackError, ConvergenceError
 from fmbd_fenicsx.rotations import Array
 from fmbd_fenicsx.system.compiled import choice
 from fmbd_fenicsx.system.control.control_laws import unfelt
-from fmbd_fenicsx.system.control.memory_points import PointMemories
+from fmbd_fenicsx.system.control.control_memory import ControllerMemory
+from fmbd_fenicsx.system.control.memory_points import PointMemories, PointRule, StepError
 
 END = 2.0
 TIMES = np.linspace(0.0, END, 11)
@@ -145,6 +146,22 @@ def test_error_control_sees_memories(name: str) -> None:
 def test_a_tighter_tolerance_is_met() -> None:
     run = fmbd.solve(wheel("filtered"), t_end=END, scheme=fmbd.Radau(rtol=1e-8), output=AT_TIMES)
     assert error(run, "filtered") < 2e-8
+
+
+def test_a_law_that_bends_has_slopes_where_its_memory_is_and_an_error_by_these() -> None:
+    """An implicit Euler step of z' = -k z^3, so long that the slope at its beginning finds nothing in 30 sweeps: h k = 1000.
+    Its error, 0.9 by itself, is filtered by a slope near its end.
+    """
+    points = PointMemories("bends")
+    kept = ControllerMemory(0.0, np.ones(1), np.zeros(1), np.zeros(1), 0)
+    rule = PointRule(np.ones(1), np.ones((1, 1)), -np.ones((1, 1)), np.zeros(1))
+    points.find(kept, rule, np.zeros((1, 1)), lambda t, y, z: (z, -1e3 * z**3))
+    (z,) = points.z[0]
+    assert z + 1e3 * z**3 == pytest.approx(1.0, rel=1e-5)
+
+    of = StepError(np.ones(1), -np.ones(1), np.zeros(1), 0.0, 1.0, 1.0, 0.0)
+    filtered = abs(z - 1.0) / (1.0 + 3e3 * z**2)
+    assert points.error(kept, of) * points.sizes(kept, 1.0, points.z[0])[0] == pytest.approx(filtered, rel=0.3)
 
 
 @compiled

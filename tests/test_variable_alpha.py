@@ -52,6 +52,20 @@ def at_end(scene: fmbd.Scene, form: Any, rounds: int, t_end: float) -> Any:
     return stepper.state
 
 
+def test_jumps_of_roundoff_across_joints_are_closed() -> None:
+    """A - a keeps what steps have left across the rows, but for what is less than the roundoff of places over h^2."""
+    scene = fmbd.Scene("held")
+    body = fmbd.RigidBody("body", 1.0, 0.1, (1.0, 0.0))
+    scene.add(body, fmbd.revolute("pin", fmbd.ground, body, center=(0.0, 0.0)))
+    stepper = stepper_of(scene, fmbd.Index3())
+    s, h = stepper.state, 1e-3
+    rows = stepper.system.at(s.t, s.q, s.v).jacobian
+    for left, kept in ((1e-12, 0.0), (1.0, 1.0)):
+        _, jump = stepper.resized.change.of(s, np.array((left, 0.3 * left, 0.0)), (h, 2 * h))
+        across = np.abs(rows.times(np.array((left, 0.3 * left, 0.0)))).max()
+        assert np.abs(rows.times(jump)).max() == pytest.approx(kept * across, abs=1e-15)
+
+
 @pytest.mark.parametrize("form", [fmbd.Index3(), fmbd.GGL()], ids=lambda f: f.name)
 def test_order_with_steps_of_changing_size(form: Any) -> None:
     """2 in q, v and lambda: steps change by up to 6."""
