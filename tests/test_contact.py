@@ -309,6 +309,23 @@ def test_patch_in_space(degree: int) -> None:
     assert pressure == pytest.approx(10.0, rel=1e-10)
 
 
+@pytest.mark.parametrize("dt", [1e-3, 2.5e-4])
+def test_blocks_that_hit_without_friction_do_not_sink_into_each_other(dt: float) -> None:
+    """Nodes without inertia alternate from step to step: paired as they do, surfaces come through each other, the more steps the
+    deeper."""
+    law: dict[str, Any] = {"density": 1e3, "elastic": fmbd.materials.linear_elastic(1e5, 0.3)}
+    mesh = fmbd.read_gmsh(BLOCK, size=(0.5, 0.4, 0.4), counts=(2, 3, 3), quads=True, origin=(-0.5, -0.1, 0.0))
+    other = fmbd.read_gmsh(BLOCK, size=(0.4, 0.6, 0.5), counts=(2, 4, 4), quads=True, origin=(0.0, -0.2, -0.1))
+    flying = fmbd.AbsoluteBody("flying", mesh, velocity=(1.0, 0.3, 0.2), **law)
+    resting = fmbd.AbsoluteBody("resting", other, **law)
+    pair = fmbd.contact("pair", flying.surface("right"), resting.surface("left"))
+    scene = fmbd.Scene("frictionless")
+    scene.add(flying, resting, pair)
+    scene.sensor("gap", fmbd.contact_gap(pair))
+    run = fmbd.solve(scene, t_end=0.1, dt=dt, scheme=fmbd.ContactMidpoint())
+    assert run["gap"].min() > -2e-3
+
+
 def test_finer_side_becomes_the_slave() -> None:
     assert len(patch(2, (7, 4))) == 8
 

@@ -175,12 +175,14 @@ class ContactSet:
         """Pairs whose gaps :meth:`update` changes."""
         return [p for p in self.pairs if p.searches]
 
-    def update(self, system: Any, q: Array, reach: float, *, keep: bool = False) -> None:
-        """Pair two-body contacts anew for a step that starts at q; ``keep``: overlaps found stay. Collective."""
-        if self.searching:
-            self._touched, here = None, Here(self, system, np.nan, q)
+    def update(self, system: Any, q: Array, reach: float, *, begun: Array | None = None) -> None:
+        """Pair two-body contacts anew as they lie at q; overlaps where a step has ``begun`` stay. Collective."""
+        if not self.searching:
+            return
+        self._touched, here = None, Here(self, system, np.nan, q)
+        start = None if begun is None else Here(self, system, np.nan, begun)
         for p in self.searching:
-            p.update(here, reach, keep=keep)
+            p.update(here, reach, begun=start)
 
     def gaps_in(self, system: Any, states: Sequence[Any]) -> Array:
         """Gaps (m) of all candidates in states within steps, (k, m), with surfaces paired as they lie there; collective."""

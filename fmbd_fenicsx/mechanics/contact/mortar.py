@@ -9,8 +9,8 @@ of facets (``fem.traces.mortar``), so constant pressure passes to roundoff. n_j 
 mean outward normal at the slave's node. Pairing, D, M and n are taken in the deformed configuration at the start of each step
 and kept during it (finite sliding), so the rows are linear in a step. A new pairing of curved surfaces finds closed points
 slightly overlapped (second order in the sliding of a step); pushing them out would do work from nothing, so the conserving rule
-asks for g >= min(g at its start, 0) instead and its energy argument holds; dissipative rules push out. Bodies whose bounding
-boxes stay apart cost the test of the boxes.
+asks for g >= min(g at its start, 0) instead and its energy argument holds; it pairs beside the start, see
+``contact_midpoint``, (5). Dissipative rules push out. Bodies whose bounding boxes stay apart cost the test of the boxes.
 
 Source: Puso and Laursen, doi:10.1016/j.cma.2003.10.010; Huber and Wohlmuth, doi:10.1007/s00791-008-0082-4.
 """
@@ -161,8 +161,8 @@ class MortarPair:
         return np.asarray(self.order[0][self.candidates])
 
     # -- pairing ---------------------------------------------------------------------------------------------
-    def update(self, here: Here, reach: float, *, keep: bool = False) -> None:
-        """Pair the surfaces anew for a step that starts here; ``keep``: overlaps found stay. Collective."""
+    def update(self, here: Here, reach: float, *, begun: Here | None = None) -> None:
+        """Pair the surfaces anew as they lie here; overlaps stay where a step has ``begun``. Collective."""
         at = [here.nodes(s.trace)[0] for s in (self.slave, self.master)]
         xs, xm = (x[o] for x, o in zip(at, self.order, strict=True))
         apart = float(np.linalg.norm(np.maximum(0.0, np.maximum(xs.min(0) - xm.max(0), xm.min(0) - xs.max(0)))))
@@ -191,8 +191,9 @@ class MortarPair:
                 S, Q = D.scaled(inverse), M.scaled(inverse)
 
         self.pairing = Pairing(S, Q, -normal, on, np.zeros(m))
-        if keep:
-            overlap_now = (-normal * self.pairing.between(*at)).sum(1)
+        if begun is not None:
+            places = (begun.nodes(s.trace)[0] for s in (self.slave, self.master))
+            overlap_now = (-normal * self.pairing.between(*places)).sum(1)
             self.pairing.offset = np.where(on, np.minimum(overlap_now, 0.0), 0.0)
 
     def _gathered(self, blocks: Array, facets: np.ndarray, nodes: np.ndarray) -> Means:

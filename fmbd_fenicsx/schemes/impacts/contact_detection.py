@@ -19,16 +19,20 @@ ALLOWED = 1e-8  # penetration at the start, as a share of the model's length
 
 
 def candidates(
-    system: System, contacts: ContactSet, state: State, h: float, *, keep: bool = False
+    system: System, contacts: ContactSet, state: State, h: float, *, paired: Array | None = None
 ) -> tuple[np.ndarray, Array]:
     """Points that may touch within the step, (m,) bool: near now, or at the position reached with the
     present velocity, which comes second.
 
-    ``keep``: overlaps from the new pairing of two bodies are not pushed out (see
-    :mod:`fmbd_fenicsx.mechanics.contact.mortar`).
+    ``paired``: the configuration in which surfaces are paired, in place of the present one; overlaps from their new pairing are
+    not pushed out then (see :mod:`fmbd_fenicsx.mechanics.contact.mortar`).
     """
     if contacts.searching:
-        contacts.update(system, state.q, 2 * h * contacts.fastest(system, state.v), keep=keep)
+        sight = 2 * h * contacts.fastest(system, state.v)
+        if paired is None:
+            contacts.update(system, state.q, sight)
+        else:
+            contacts.update(system, paired, sight, begun=state.q)
     now = contacts.touch(system, state.t, state.q)
     ahead = system.compose(state.q, h * state.v)
     then = contacts.touch(system, state.t + h, ahead)

@@ -20,7 +20,13 @@ these would add up in v_1, with a changing sign. Their velocity at the end is le
     a_1 = (v_m - (v_0 - (1 - theta) h a_0)) / h,   v_1 = v_m + (1 - theta) h a_1                             (4)
 
 Their places at the ends of steps alternate about those that the balance holds in the middle, with theta = 1/2 without end
-behind a release; a larger theta damps that.
+behind a release; a larger theta damps that. Surfaces are paired where nodes would be without that: two mean velocities that
+differ by h a_1 say that the places alternate by h^2 a_1 / 4,
+
+    x_1 - h^2 a_1 / 4 = (3 x_1 + 2 x_0 - x_-1) / 4                                                      (5)
+
+Paired where they are, surfaces push alternately to one side and not, which makes the alternation grow without friction, by the
+step and not by the time, and each of its overlaps stays: bodies sink into each other.
 
 Source: Khenous, Laborde, Renard, doi:10.1016/j.euromechsol.2008.01.001; Deuflhard, Krause, Ertel,
 doi:10.1002/nme.2119.
@@ -149,7 +155,6 @@ class ContactMidpointStepper(ElasticContactStepper):
     def __init__(self, theta: float, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
         super().__init__(system, solver, newton, state)
         self.theta = self.share = theta
-        self.keeps_overlaps = theta == 0.5
         self._projects = any(b.kind != "frame" for b in system.blocks)
         self._weightless = weightless(system)
         self._begun: State | None = None  # what the last step began with
@@ -174,7 +179,7 @@ class ContactMidpointStepper(ElasticContactStepper):
         unchanged.
         """
         system, s = self.system, self.state
-        near, ahead = candidates(system, self.contacts, s, h, keep=self.keeps_overlaps)
+        near, ahead = candidates(system, self.contacts, s, h, paired=self._paired(h))
 
         step, iterations = self._solved(h, near, lambda some: _Step(self, h, some, ahead))
 
@@ -204,6 +209,13 @@ class ContactMidpointStepper(ElasticContactStepper):
         x, earlier, mean = (t - before.t) / h, self._means[0], self._means[-1]
         xi = x * h * mean - 0.5 * x * (1 - x) * h * (mean - earlier)
         return state_within(before, after, t, self.system.compose(before.q, xi))
+
+    def _paired(self, h: float) -> Array | None:
+        """The configuration that surfaces are paired in by (5); None: that of the start."""
+        s = self.state
+        if self.theta > 0.5 or not self.contacts.searching:
+            return None
+        return self.system.compose(s.q, np.where(self._weightless, -0.25 * h * h * s.a, 0.0))
 
     def _velocities(self, mean: Array, h: float) -> tuple[Array, Array]:
         """Those at the end of a step by (1), from the mean one, and accelerations of what has no inertia, by (4)."""

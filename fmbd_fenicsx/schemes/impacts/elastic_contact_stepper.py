@@ -43,7 +43,6 @@ class ElasticContactStepper(ContactStepper):
     share: float  # of a step, at which its forces act
     keeps: ClassVar = {**ContactStepper.keeps, "marched": plain(), "confirmed": plain(Confirmed)}
     confirmed: Confirmed | None = None  # what the last step tells of later ones
-    keeps_overlaps: bool = False  # whether those that a new pairing of surfaces finds are not pushed out
     marched: int = 0  # steps
     _size: float  # s, of the steps that are asked for
     _march: ContactMarch | None = None

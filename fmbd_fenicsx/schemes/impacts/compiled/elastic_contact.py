@@ -50,7 +50,7 @@ class Encounters(PairTables):
         self.laws, self.candidates = len(laws), len(self.contacts.pair)
 
         s, m = tables.system, self.candidates
-        self.c = Contacts(keeps=int(stepper.keeps_overlaps), **self._common())
+        self.c = Contacts(**self._common())
 
         system = self.system
         self.structure = ELASTIC_CONTACT(

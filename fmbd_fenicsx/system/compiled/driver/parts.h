@@ -167,8 +167,9 @@ typedef struct {
     const double *q, *end, *xi, *open;
     double *b;
 } Contacting;
-/* Find who takes part in a step of size h; begin its iteration, with how many; whether others join in where it has led to. */
-PART int begin_contact(System *s, ElasticContact *o, double h, const Block *now);
+/* Find who takes part in a step of size h, with surfaces paired ``beside`` its start by such an increment, where overlaps stay then, NULL:
+   there; begin its iteration, with how many; whether others join in where it has led to. */
+PART int begin_contact(System *s, ElasticContact *o, double h, const Block *now, const double *beside);
 PART int start_forces(System *s, ElasticContact *o, const Block *now);
 PART int met_others(ElasticContact *o, const Block *out, int *verdict);
 /* Whether a slow iteration goes on with its matrix: new tangents change nothing but columns of inertia. */

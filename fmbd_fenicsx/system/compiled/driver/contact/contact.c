@@ -83,7 +83,7 @@ typedef struct {
     int known;                                /* whether ``now`` is that of the newest state */
     int room, moving;                         /* contacts that may be closed at once; whether obstacles move as prescribed */
     Pair *pair;
-    int meetings, keeps;                      /* pairs of surfaces, see facets.c; whether overlaps found stay; */
+    int meetings;                             /* pairs of surfaces, see facets.c; */
     struct Meeting *meeting;
     int *surface;                             /* laws x 2: the pairs whose points rows act on, -1 for none */
     struct Means *means;                      /* laws x 2: of these points */

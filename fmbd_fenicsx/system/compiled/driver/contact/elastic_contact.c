@@ -92,14 +92,17 @@ static void let_sway(System *s, const ElasticContact *o, int back)
     }
 }
 
-int begin_contact(System *s, ElasticContact *o, double h, const Block *now)
+int begin_contact(System *s, ElasticContact *o, double h, const Block *now, const double *beside)
 {
     Contacts *c = o->contacts;
     int verdict;
     if (!c->known && look_at_points(o, now->q, *now->t, &c->now)) return FAILED;
     c->known = 1, o->turned = o->rounds = 0;
     if (c->meetings) {
-        if (pair_surfaces(c, 4.0 * h * fastest_node(c, now->v), &c->now)) return FAILED;
+        const double reach = 4.0 * h * fastest_node(c, now->v);
+        double *q = o->room + s->nv;
+        if (beside && (verdict = driver_compose(s, 1, now->q, s->nq, beside, s->nv, q))) return verdict;
+        if (beside ? pair_beside(c, q, *now->t, reach, &c->now) : pair_surfaces(c, reach, &c->now)) return FAILED;
         o->known_scale = 0.0;
         if (o->problem->all.lumped) o->ready = 0;
     }

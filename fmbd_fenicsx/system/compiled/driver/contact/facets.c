@@ -383,8 +383,8 @@ static void turn_normals(const Meeting *o, int points, int candidates)
     }
 }
 
-/* Pair both surfaces anew where their points stand like this; ``reach``: what nodes may move by, m; ``keep``: overlaps found stay. */
-static int pair_facets(Contacts *c, Meeting *o, int number, double reach, int keep, Touch *at)
+/* Pair both surfaces anew where their points stand like this; ``reach``: what nodes may move by, m. */
+static int pair_facets(Contacts *c, Meeting *o, int number, double reach, Touch *at)
 {
     const Pair *k = c->pair + o->pair, *a = c->pair + o->side[0].pair, *b = c->pair + o->side[1].pair;
     double far = 0.0;
@@ -418,11 +418,6 @@ static int pair_facets(Contacts *c, Meeting *o, int number, double reach, int ke
     }
 
     touch_facets(c, o, at);
-    for (int j = 0; keep && j < k->count; j++) {
-        double *gap = at->gap + k->first + j;
-        if (!(*gap < 0.0)) continue;
-        o->offset[j] = *gap, *gap = 0.0;
-    }
     return DONE;
 }
 
@@ -430,6 +425,25 @@ static int pair_facets(Contacts *c, Meeting *o, int number, double reach, int ke
 static int pair_surfaces(Contacts *c, double reach, Touch *at)
 {
     for (int k = 0; k < c->meetings; k++)
-        if (pair_facets(c, c->meeting + k, k, reach, c->keeps, at)) return 1;
+        if (pair_facets(c, c->meeting + k, k, reach, at)) return 1;
+    return 0;
+}
+
+/* The same as they lie at a configuration near a time, for a step that begins where points stand like this: overlaps there stay. */
+static int pair_beside(Contacts *c, const double *q, double t, double reach, Touch *at)
+{
+    for (const Meeting *o = c->meeting; o < c->meeting + c->meetings; o++)
+        for (int side = 0; side < 2; side++) touch_points(c, c->pair + o->side[side].pair, q, t, &c->aside);
+    if (pair_surfaces(c, reach, &c->aside)) return 1;
+
+    for (const Meeting *o = c->meeting; o < c->meeting + c->meetings; o++) {
+        const Pair *k = c->pair + o->pair;
+        touch_facets(c, o, at);
+        for (int j = 0; j < k->count; j++) {
+            double *gap = at->gap + k->first + j;
+            if (!(*gap < 0.0)) continue;
+            o->offset[j] = *gap, *gap = 0.0;
+        }
+    }
     return 0;
 }

@@ -444,7 +444,7 @@ static int alpha_step(System *s, double *p, double *free_room, const Block *past
     (void)free_room; /* it works in the tables' */
 
     begin(s, p, past[0], out, &k);
-    if (s->contact && (verdict = begin_contact(s, s->contact, p[H], past))) return verdict;
+    if (s->contact && (verdict = begin_contact(s, s->contact, p[H], past, NULL))) return verdict;
     if (!rates_wait(s, p) && (verdict = sample(s, k.t, &asked))) return verdict;
     if (rates_wait(s, p)) {
         s->calls++;

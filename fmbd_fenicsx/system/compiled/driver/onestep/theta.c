@@ -98,7 +98,8 @@ static int theta_step(System *s, double *p, double *room, const Block *past, int
     (void)known; /* it begins with the velocity, as steps in contact do */
 
     *out.t = *now.t + h;
-    if ((verdict = begin_contact(s, s->contact, h, &now))) return verdict;
+    for (int i = 0; i < s->nv; i++) o.part[i] = o.massless[i] ? -0.25 * h * h * now.a[i] : 0.0; /* (5) */
+    if ((verdict = begin_contact(s, s->contact, h, &now, theta == 0.5 ? o.part : NULL))) return verdict;
     do {
         memcpy(out.lam, now.lam, s->rows * sizeof(double));
         for (int i = 0; i < s->nv; i++) o.xi[i] = h * now.v[i], out.A[i] = 0.0;
