@@ -140,7 +140,8 @@ def vector(what: str, value: Any, *, size: int | None = None, zero: bool = True,
     """Finite numbers, (size,). In the plane (2) a third number may follow when it is zero; ``zero``: all may be zero; ``other``:
     what else may stand there.
     """
-    wanted = f"{'a vector of' if size is None else size} finite numbers" + ("" if zero else ", not all zero") + other
+    many = "a finite number" if size == 1 else f"{'a vector of' if size is None else size} finite numbers"
+    wanted = many + ("" if zero else ", not all zero") + other
     found = array(what, value, shape=wanted)
 
     if size == 2 and found.shape == (3,):

@@ -80,6 +80,14 @@ def test_classes_and_runs_say_what_they_take(make: Callable[[], Any], told: str)
     assert isinstance(found.value, TypeError)
 
 
+def test_messages_name_bodies_and_count_in_words() -> None:
+    body, _ = arm()
+    with pytest.raises(InputError, match='^Joint "u" is a joint of space; ground and RigidBody "arm" are plane. Use'):
+        fmbd.universal("u", fmbd.ground, body, center=(0, 0))
+    with pytest.raises(InputError, match="must be a finite number.$"):
+        fmbd.torque("turn", body, (0.0, 0.0, 1.0))
+
+
 def test_what_fails_within_a_call_that_fits_is_raised_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*given: Any) -> None:
         raise TypeError("within")

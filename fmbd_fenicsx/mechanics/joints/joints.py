@@ -124,7 +124,9 @@ def dimension(a: Any, b: Any, name: str) -> int:
     require(bool(sides), f'Joint "{name}" connects the ground with the ground.')
     dims = {x.dim for x in sides}
     if len(dims) != 1:
-        raise InputError(f'Joint "{name}" needs bodies of one dimension, found {sorted(dims)} for {a!r} and {b!r}.')
+        raise InputError(
+            f'Joint "{name}" needs bodies of one dimension, found {sorted(dims)} for {shown(a)} and {shown(b)}.'
+        )
     return int(dims.pop())
 
 
@@ -156,7 +158,7 @@ def _in_space(a: Any, b: Any, name: str) -> None:
     """Refuse plane bodies."""
     require(
         dimension(a, b, name) == 3,
-        f'Joint "{name}" is a joint of space; {a!r} and {b!r} are plane. Use revolute, prismatic or point_on_line.',
+        f'Joint "{name}" is a joint of space; {shown(a)} and {shown(b)} are plane. Use revolute, prismatic or point_on_line.',
     )
 
 
