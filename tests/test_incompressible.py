@@ -397,3 +397,24 @@ def test_a_linear_model_keeps_volumes() -> None:
         scene.sensor("tip", fmbd.position(block.surface("right")))
         found.append(np.abs(fmbd.frequency_response(scene, ["push y"], ["tip y"], [1.0, 3.0, 5.0])).ravel())
     assert found[0] == pytest.approx(found[1], rel=5e-3)
+
+
+def test_a_cantilever_carries_a_weight_on_a_hinge_that_hangs_on_a_spring() -> None:
+    """The step's matrix leaves out how spring and reactions turn: its increments alone went on for minutes, and ended nowhere."""
+    mesh = fmbd.read_gmsh(ROOT / "meshes/block.py", size=(1.0, 0.2, 0.1), counts=(6, 1, 1))
+    block = fmbd.AbsoluteBody("block", mesh, density=DENSITY, energy=neo_hookean_incompressible(1e6, 0.49))
+    load = fmbd.RigidBody("load", 1.0, (0.01, 0.01, 0.01), position=(1.1, 0.1, 0.05))
+    scene = fmbd.Scene("carried", gravity=(0.0, 1.0, -1.5))
+    wall = fmbd.fixed("wall", fmbd.ground, block.surface("left"))
+    hinge = fmbd.revolute("hinge", block.surface("right"), load, axis=(0, 1, 0), center=(1.0, 0.1, 0.05))
+    spring = fmbd.Spring("spring", fmbd.ground, load, (1.1, 0.1, 0.6), (1.1, 0.1, 0.05), stiffness=300.0, length=0.55)
+    scene.add(block, load, wall, hinge, spring)
+    scene.sensor("wall", fmbd.reaction_force(wall))
+    scene.sensor("load", fmbd.position(load))
+    found = fmbd.equilibrium(scene)
+
+    arm = found["load"] - np.array([1.1, 0.1, 0.6])
+    length = np.linalg.norm(arm)
+    pulls = 300.0 * (length - 0.55) * arm / length  # on the ground
+    np.testing.assert_allclose(found["wall"] + pulls, 21.0 * np.array(scene.gravity), atol=1e-5)
+    assert found.counters["newton_iterations"] < 120

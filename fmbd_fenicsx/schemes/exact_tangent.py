@@ -32,13 +32,15 @@ def exact_increment(
     solve: Callable[[Array, Array], Pair],
     moved: Callable[[Array], Pair],
     b: Pair,
+    push: Array | float = 0.0,
 ) -> tuple[Array, Array, int]:
     """dq, s dlambda and the number of iterations of (1); collective.
 
     ``solve`` applies P^-1; ``moved(d)`` is the residual (like v, and (n_lam,)) after the increment d of q; ``b``: less that at
-    d = 0. Iterates to the relative residual of ``tangent``, or gives what its iterations reach: Newton's test judges that.
+    d = 0; ``push``: forces beside b, so large that differences of residuals would lose their digits in them. Iterates to the
+    relative residual of ``tangent``, or gives what its iterations reach: Newton's test judges that.
     """
-    dq, dlam = solve(*b)
+    dq, dlam = solve(b[0] + push, b[1])
     units = system.units
     norm = float(np.sqrt(system.dot(units * dq, units * dq)))
     if not 0.0 < norm < np.inf:

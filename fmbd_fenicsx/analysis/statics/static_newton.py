@@ -25,6 +25,7 @@ import numpy as np
 
 from ...errors import ConvergenceError, LinearSolveError
 from ...linear.blocks.field_blocks import Weights
+from ...linear.blocks.incompressibility import move_pressures, volume_gaps, volume_push, volume_rates
 from ...linear.condensation import StepSolver
 from ...rotations import Array
 from ...schemes.exact_tangent import exact_increment
@@ -114,10 +115,16 @@ class StaticNewton:
         self.solver.prepare(ev, self.weights)
         return r
 
-    def inverse(self, point: StaticPoint, t: float, r: Pair, goal: Pair, share: float = 0.0) -> Pair:
-        """(J + s M / tau^2)^-1 (goal - r) at a point with residuals r, J exact, s = ``share``; increments of q and lambda."""
+    def inverse(
+        self, point: StaticPoint, t: float, r: Pair, goal: Pair, share: float = 0.0, push: Array | float = 0.0
+    ) -> Pair:
+        """(J + s M / tau^2)^-1 (goal - r + push) at a point with residuals r, J exact, s = ``share``; increments of q and lambda.
+
+        Pressures that bodies carry are in J as what follows volumes, (2) of :mod:`~fmbd_fenicsx.fem.mixed`.
+        """
         system = self.residual.system
         inertia = share * self.weights.cm
+        carrying = bool(self.solver.pressures)
 
         rolling = speed_rows(system)
         G = self.residual.at(point.q, t).jacobian if rolling.size else None
@@ -127,39 +134,39 @@ class StaticNewton:
             found = self.residual.values(self.residual.at(q, t), point.lam, inertia * d)
             if G is not None:  # rows without g: the increment itself rolls
                 found[1][rolling] += G.times(d)[rolling]
-            return found[0] - goal[0], found[1] - goal[1]
+            followed = volume_push(self.solver, volume_rates(self.solver, d)) if carrying else 0.0
+            return found[0] - goal[0] + followed, found[1] - goal[1]
 
         b = goal[0] - r[0], goal[1] - r[1]
-        dq, dlam, count = exact_increment(EXACT, system, self.solver.solve, moved, b)
+        dq, dlam, count = exact_increment(EXACT, system, self.solver.solve, moved, b, push)
         self.tangent_iterations += count
         return dq, dlam
 
-    def direct(self, point: StaticPoint, t: float, b: Pair) -> Pair:
-        """Increment of Newton with the solver's own matrix from a point; pressures that bodies carry move along."""
-        return self.solver.step(self.residual.at(point.q, t), *b)
+    def closing(self, point: StaticPoint, t: float, r: Pair, rest: Pair, share: float = 0.0) -> Pair:
+        """The same towards ``rest``, and volumes close: pressures that bodies carry move along."""
+        gaps = volume_gaps(self.residual.at(point.q, t)) if self.solver.pressures else {}
+        step = self.inverse(point, t, r, rest, share, -volume_push(self.solver, gaps) if gaps else 0.0)
+        move_pressures(self.solver, step[0], gaps)
+        return step
 
     # -- a whole iteration ----------------------------------------------------------------------------------------
     def solve(self, start: StaticPoint, t: float, rest: Pair) -> StaticPoint:
         """The point where both residuals equal ``rest``; ConvergenceError where the iteration ends elsewhere."""
         self.slow = False
-        if any(p.field.carried for _, p in self.residual.system.fields):
-            return self._iterate(start, t, rest, DAMPED, self._carrying_increment)
-
-        # increments, with inertia beside the tangent, and those that may end with roundoff, each where those before fail
+        # of the exact tangent, with inertia beside it, and those that may end with roundoff, each where those before fail
         whole, damped = (WHOLE, self._whole_increment), (DAMPED, self._damped_increment)
+        ways = [(whole, False, False), (damped, False, False), (whole, True, False), (whole, False, True)]
+        pressures = self.solver.pressures
+        if pressures:  # the solver's matrix alone bends and turns such bodies in the fewest
+            ways.insert(0, ((DAMPED, self._free_increment), False, False))
         failed: list[ConvergenceError] = []
-        for way, slow, rough in (
-            (whole, False, False),
-            (damped, False, False),
-            (whole, True, False),
-            (whole, False, True),
-        ):
-            self.slow = slow
+        for way, slow, rough in ways:
+            self.slow, self.solver.pressures = slow, pressures
             try:
                 return self._iterate(start, t, rest, *way, rough=rough)
             except ConvergenceError as error:
                 failed.append(error)
-        raise failed[2]  # inertia tells most of what is missing
+        raise failed[-2]  # inertia tells most of what is missing
 
     def _iterate(
         self, start: StaticPoint, t: float, rest: Pair, most: int, increment: Increment, *, rough: bool = False
@@ -201,9 +208,9 @@ class StaticNewton:
                 break
         raise ConvergenceError(f"increments of {', '.join(f'{x:.1e}' for x in sizes[-4:])} m")
 
-    def _carrying_increment(self, point: StaticPoint, t: float, r: Pair, rest: Pair) -> Pair | None:
-        """Increment of the solver's own matrix, the pressures of bodies with it."""
-        step = self.direct(point, t, (rest[0] - r[0], rest[1] - r[1]))
+    def _free_increment(self, point: StaticPoint, t: float, r: Pair, rest: Pair) -> Pair | None:
+        """Increment of the solver's own matrix, however long, the pressures of bodies with it."""
+        step = self.solver.step(self.residual.at(point.q, t), rest[0] - r[0], rest[1] - r[1])
         return step if np.isfinite(self.residual.system.max_abs(step[0])) else None
 
     def _whole_increment(self, point: StaticPoint, t: float, r: Pair, rest: Pair) -> Pair | None:
@@ -212,19 +219,25 @@ class StaticNewton:
         What may turn or slide freely has no stiffness, and roundoff would move it far; the rest hardly feels M, as tau is long.
         """
         system = self.residual.system
-        dq, dlam = self.inverse(point, t, r, rest, float(self.slow))
+        dq, dlam = self.closing(point, t, r, rest, float(self.slow))
         return (dq, dlam) if system.max_abs(dq) <= LONG * system.length else None
 
     def _damped_increment(self, point: StaticPoint, t: float, r: Pair, rest: Pair) -> Pair | None:
         """Share (2) of the increment of the exact tangent."""
-        system = self.residual.system
-        dq, dlam = self.inverse(point, t, r, rest)
+        system, before = self.residual.system, self.solver.pressures
+        dq, dlam = self.closing(point, t, r, rest)
+        after = self.solver.pressures
         size = system.max_abs(dq)
         if not np.isfinite(size):
             return None
         if size < TINY * system.length:
             return dq, dlam
-        share = self._share(point, t, (dq, dlam), (rest[0] - r[0], rest[1] - r[1]), rest)
+
+        def take(share: float) -> StaticPoint:
+            self.solver.pressures = [p + share * (q - p) for p, q in zip(before, after, strict=True)]
+            return StaticPoint(system.compose(point.q, share * dq), point.lam + share * dlam)
+
+        share = self._share(take, t, rest)
         return (share * dq, share * dlam) if share else None
 
     def _fallen(self, sizes: list[float]) -> bool:
@@ -257,23 +270,24 @@ class StaticNewton:
         zero = np.zeros(self.residual.system.n_lam)
         return start.q, lambda b: self.solver.solve(b, zero)[0]
 
+    def _left(self, point: StaticPoint, t: float, rest: Pair) -> float:
+        """How far (m) the residuals, open volumes with them, move bodies in the measure of the preconditioner."""
+        ev = self.residual.at(point.q, t)
+        r, gaps = self.residual.values(ev, point.lam), volume_gaps(ev)
+        push = volume_push(self.solver, gaps) if gaps else 0.0
+        return self.residual.system.max_abs(self.solver.solve(rest[0] - r[0] - push, rest[1] - r[1])[0])
+
     def _balanced(self, point: StaticPoint, t: float, rest: Pair) -> bool:
         """Whether the residuals are small in the measure of the preconditioner: no increment is no proof where J is singular."""
-        system = self.residual.system
-        r = self.residual.values(self.residual.at(point.q, t), point.lam)
-        left = self.solver.solve(rest[0] - r[0], rest[1] - r[1])[0]
-        return system.max_abs(left) <= 1e-6 * system.length
+        return self._left(point, t, rest) <= 1e-6 * self.residual.system.length
 
-    def _share(self, point: StaticPoint, t: float, step: Pair, b: Pair, rest: Pair) -> float:
-        """The share l of (2), 0.0 where there is none."""
-        system, share = self.residual.system, 1.0
-        before = system.max_abs(self.solver.solve(*b)[0])
+    def _share(self, take: Callable[[float], StaticPoint], t: float, rest: Pair) -> float:
+        """The share l of (2) of an increment that ``take`` takes, 0.0 where there is none."""
+        before = self._left(take(0.0), t, rest)
+        share = 1.0
         while share >= SHORTEST:
-            q = system.compose(point.q, share * step[0])
-            lam = point.lam + share * step[1]
             try:
-                r = self.residual.values(self.residual.at(q, t), lam)
-                left = system.max_abs(self.solver.solve(rest[0] - r[0], rest[1] - r[1])[0])
+                left = self._left(take(share), t, rest)
             except (ConvergenceError, LinearSolveError, ArithmeticError):
                 left = np.inf
             if left <= (1.0 - 0.25 * share) * before:

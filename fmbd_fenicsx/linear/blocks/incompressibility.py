@@ -108,6 +108,13 @@ def volume_gaps(ev: Evaluation) -> dict[int, Array]:
     return {k: field.volume_gap(ev.local(k)[0]) for k, field in carried}
 
 
+def volume_rates(solver: Any, dq: Array) -> dict[int, Array]:
+    """How an increment ``dq``, like v, changes the volumes of parts with a carried pressure (n_pressure,); collective."""
+    s = solver.system
+    fields = [(k, f.field, solver.corotations[i]) for i, (k, f) in enumerate(s.fields) if f.field.carried]
+    return {k: field.volume_rate(rotate_nodal(s.local_v(dq, k), turn, back=True)) for k, field, turn in fields}
+
+
 def move_pressures(solver: Any, dq: Array, gaps: dict[int, Array]) -> None:
     """Move carried pressures along with Newton's increment ``dq``, like v, where volumes are open by ``gaps``; collective."""
     s = solver.system
