@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import cache, partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -175,7 +176,7 @@ class SparseTangents(Remembering):
         self.R: Array = np.zeros(len(structure.ties.rows))
         self.weighed = False
         self.told = any(map(is_told, system.parts))  # whether Python tells masses that change
-        self._rooms = Rooms(structure)
+        self.room = _rooms(structure)
         self._whole = dict[int, WholeStructure]()  # of so many stages
 
     def remember(self, m: Memory) -> None:
@@ -287,23 +288,10 @@ class SparseTangents(Remembering):
         """Solver of so many stages for the frequencies s, (p,)."""
         return SparsePencil.factored(tangent, s, judge, self.room(len(s), points), redundant=redundant)
 
-    def room(self, frequencies: int, points: int) -> StageRoom:
-        """Where so many points are solved for."""
-        return self._rooms.of(frequencies, points)
 
-
-class Rooms:
-    """Where points of implicit steps are solved for, by how many frequencies and points there are."""
-
-    def __init__(self, structure: StageStructure) -> None:
-        self.structure, self._known = structure, dict[tuple[int, int], StageRoom]()
-
-    def of(self, frequencies: int, points: int) -> StageRoom:
-        """One of them."""
-        key = frequencies, points
-        if key not in self._known:
-            self._known[key] = StageRoom(self.structure, *key)
-        return self._known[key]
+def _rooms(structure: StageStructure) -> Callable[[int, int], StageRoom]:
+    """Where points of implicit steps are solved for, one for each number of frequencies and of points."""
+    return cache(partial(StageRoom, structure))
 
 
 class RestingTangents:
@@ -311,7 +299,7 @@ class RestingTangents:
 
     def __init__(self, system: System, structure: StageStructure) -> None:
         self.system, self.structure = system, structure
-        self.room = Rooms(structure).of
+        self.room = _rooms(structure)
         self._moves = structure.states.twin.velocities(np.ones(system.n_v)) > 0.0
 
     def weigh_once(self, solver: StepSolver, state: State) -> None:
