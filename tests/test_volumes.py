@@ -306,7 +306,7 @@ def test_a_volume_without_material_is_refused(script):
         fmbd.solve(scene, t_end=0.01, dt=0.001)
 
 
-@pytest.mark.parametrize("ratio", [1e10, 1e13])
+@pytest.mark.parametrize("ratio", [1e11, 1e13])
 def test_a_stiffness_lost_in_roundoff_is_told(script, ratio):
     """A soft half that holds one so many times as stiff: the start is no equilibrium, however short the increments are."""
     mesh = fmbd.read_gmsh(script, volume=BOTH, h=0.5)

@@ -206,7 +206,7 @@ class ElasticBody(Body):
         mass_damping, stiffness_damping: Rayleigh coefficients alpha (1/s) and beta (s); the stiffness is that of the body without
             stress, and at constant pressure where an energy has one.
         quadrature: degree of the quadrature of the elastic form or energy; None: what the form asks
-            for, at most 4 (degree - 1) + 2 of an energy, whose forces and tangent then have the same.
+            for, on hexahedra 2 degree + 1, at most 4 (degree - 1) of an energy, whose forces and tangent then have the same.
         loads: of :mod:`fmbd_fenicsx.fem.loads`: tractions, pressure, body forces, thermal stress, own forms.
         viscous: Kelvin-Voigt damping: a bilinear form (u, v, dx) of the rate u of the local displacements; or, of absolute
             bodies with an energy, a :class:`~fmbd_fenicsx.ViscousForm` (u, rate, v, dx), for instance
