@@ -164,6 +164,28 @@ def test_a_law_that_bends_has_slopes_where_its_memory_is_and_an_error_by_these()
     assert points.error(kept, of) * points.sizes(kept, 1.0, points.z[0])[0] == pytest.approx(filtered, rel=0.3)
 
 
+def euler_step(law: Any, z: float, rate: float) -> float:
+    """The memory behind an implicit Euler step of 1 s from z, which this rate foretells."""
+    points, rule = PointMemories("far"), PointRule(np.ones(1), np.ones((1, 1)), -np.ones((1, 1)), np.zeros(1))
+    kept = ControllerMemory(0.0, np.array([z]), np.array([rate]), np.zeros(1), 0)
+    points.find(kept, rule, np.zeros((1, 1)), lambda t, y, z: (z, law(z)))
+    return float(points.z[0, 0])
+
+
+@pytest.mark.parametrize("law", [lambda z: -1e3 * z**3, lambda z: -1e3 * np.tanh(z)], ids=["steep", "level"])
+@pytest.mark.parametrize("foretold", [True, False])
+def test_what_is_foretold_far_off_is_no_memory(law: Any, foretold: bool) -> None:
+    """z' = -1000 z^3 is foretold where rates, 1e15, hide what is left; where tanh is level, slopes lead astray."""
+    z = euler_step(law, 5.0, float(law(5.0)) if foretold else 0.0)
+    assert z - law(z) == pytest.approx(5.0, rel=1e-4)
+
+
+def test_a_memory_without_a_value_is_an_error() -> None:
+    """z = 1 + (1 + z^2) has no solution."""
+    with pytest.raises(CallbackError, match="has no value up to t = 1 s"):
+        euler_step(lambda z: 1.0 + z**2, 1.0, 2.0)
+
+
 @compiled
 @pytest.mark.parametrize("driven", [True, False])
 @pytest.mark.parametrize("scheme", [fmbd.Radau(rtol=1e-6), fmbd.BDF(rtol=1e-6)], ids=["radau", "bdf"])

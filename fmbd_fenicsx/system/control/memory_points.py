@@ -25,11 +25,12 @@ from ...rotations import Array
 from .control_laws import Answers, differences, solved
 from .control_memory import PAST, ControllerMemory
 
-SWEEPS = 30  # of all points
+SWEEPS = 100  # of all points
 # shares of a memory that Newton's iteration may leave, and along which slopes tell what the law would answer
 LEFT, NEAR = 1e-14, 1e-7
 TINY = float(np.finfo(float).tiny)
 FALLS = 0.3  # share of what was left that slopes of one point may leave of all
+FALLEN = 0.25  # share of what an increment along a point's own slopes promises, that it must keep
 # of PidMemory: numbers before those of the past, points at most
 HEAD, STAGES = 7, 7
 
@@ -114,25 +115,36 @@ class PointMemories:
         z = self.z if self.kept is kept and self.t == t else np.array([kept.foretold(x) for x in t])
         slopes = self.slopes if self.kept is kept and len(self.t) == k else None
         behind = rule.past @ kept.ends(rule.ends)
-        before = np.inf
+        left = solved(rule.couple, behind)
+        # rates and places of an iterate that is far off would hide what is left
+        least = np.maximum(self.sizes(kept, kept.t, kept.z), (t[-1] - kept.t) * self.widest(kept))
+        before, own, part, gone, size = np.inf, False, 1.0, np.zeros_like(z), least
 
         for _ in range(SWEEPS):
             answers = [laws[i](z[i]) for i in range(k)]
             u, rates = (np.array(x) for x in zip(*answers, strict=True))
-            size = np.maximum(self.sizes(kept, t[-1], z[-1]), _largest(solved(rule.couple, rates)))
+            earlier, size = size, np.maximum(least, _largest(z + left))
             if slopes is None:
                 slopes = [differences(z[-1], size, laws[-1], answers[-1])] * k
             miss = rule.couple @ z + behind - rates
             change = _change(rule.couple, slopes, miss)
             share = _share(change, size)
-            if share > FALLS * before:  # each point has its own
+            if (
+                own and not _share(change, earlier) <= (1.0 - FALLEN * part) * before
+            ):  # half as far: slopes of where it came from led astray
+                part, size = 0.5 * part, earlier
+                z = z + part * gone
+                continue
+            own = share > FALLS * before
+            if own:  # each point has its own
                 slopes = [differences(z[i], size, laws[i], answers[i]) for i in range(k)]
                 change = _change(rule.couple, slopes, miss)
                 share = _share(change, size)
 
+            gone, part = change, 1.0
             if share > LEFT:
                 z = z - change
-            if share <= NEAR:
+            if share <= NEAR and (share <= LEFT or np.all(_largest(solved(rule.couple, miss)) <= size)):
                 break
             before = share
         else:
@@ -188,7 +200,7 @@ def _largest(x: Array) -> Array:
 def _share(change: Array, size: Array) -> float:
     """The largest change (k, m) over the sizes (m,)."""
     largest = _largest(change)
-    moved = largest > 0
+    moved = largest != 0
     return max((largest[moved] / np.maximum(size[moved], TINY)).tolist(), default=0.0)
 
 
