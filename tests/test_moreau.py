@@ -366,6 +366,33 @@ def test_slip_that_turns_about_within_a_step_is_of_second_order(
     assert run["force"][1:, 0] == pytest.approx(mean, abs=1e-6)
 
 
+@pytest.mark.parametrize("masses", [(1e9, 1e-9), (1e9, 1.0, 1e-9), (1e-3, 1e3)])
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+@pytest.mark.parametrize("compiled", [True, False])
+def test_light_bodies_rest_on_heavy_ones(
+    compiled: bool, friction: float, masses: tuple[float, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The largest force told that all contacts were found, and what was light sank by h^2 g in each step."""
+    if not compiled:
+        monkeypatch.setattr(driver, "contact_driver", lambda *_, **__: None)
+    scene, below = fmbd.Scene("stack", gravity=(0, -9.81)), None
+    for i, mass in enumerate(masses):
+        name, top = f"{i}", fmbd.HalfSpace((0, 0.1 if below else 0.0), (0, 1))
+        block = fmbd.RigidBody(name, mass, 0.1 * mass, position=(0.0, 0.1 + 0.2 * i))
+        feet = fmbd.corners(block, [(-0.1, -0.1), (0.1, -0.1)])
+        obstacle = fmbd.Obstacle(f"top of {below.name}", top, on=below) if below else top
+        scene.add(block, fmbd.contact(f"under {name}", feet, obstacle, friction=friction))
+        scene.sensor(f"place of {name}", fmbd.position(block))
+        scene.sensor(f"force under {name}", fmbd.contact_force(f"under {name}"))
+        below = block
+    run = fmbd.solve(scene, t_end=5e-3, dt=1e-3, scheme=fmbd.Moreau())
+    assert (run.counters.get("compiled_steps", 0) > 0) is compiled
+    for i in range(len(masses)):
+        assert run[f"place of {i}"][-1] == pytest.approx((0.0, 0.1 + 0.2 * i), abs=1e-13)
+        weight = 9.81 * sum(masses[i:])
+        assert run[f"force under {i}"][-1] == pytest.approx((0.0, weight), rel=0.0, abs=1e-9 * weight)
+
+
 @pytest.mark.parametrize("compiled", [True, False])
 def test_of_several_touches_in_a_step_the_first_cuts_it(compiled: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Balls that hit a floor 5, 6 and 9 ms behind the start of a step of 10 ms, whichever was added first."""

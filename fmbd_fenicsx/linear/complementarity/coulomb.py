@@ -4,8 +4,9 @@
     tau in disk of radius mu L,  tau = projection(tau - c s),  s = q_t + W_t (L, tau)                       (2)
     x_k+1 solves (1), (2) with W + rho_k / c and q - rho_k x_k / c                                          (3)
 
-(2) is Alart and Curnier's function (doi:10.1016/0045-7825(91)90022-X), solved to 1e-12 of the largest force; without friction it
-is the iteration of active sets (Hintermueller, Ito and Kunisch, doi:10.1137/S1052623401383558). Contacts that depend on each
+(2) is Alart and Curnier's function (doi:10.1016/0045-7825(91)90022-X), solved to 1e-12 of the largest force, and of
+each contact's own or of 1e4 c times the gaps and slips without forces; without friction it is the iteration of active sets
+(Hintermueller, Ito and Kunisch, doi:10.1137/S1052623401383558). Contacts that depend on each
 other (a plate on four corners) make W singular; the proximal points (3) choose one of the force distributions, near the start
 (Rockafellar, doi:10.1137/0314056). rho falls with every point found, so that slips and gaps much slower than the impact, which
 move the forces by s / rho, are found too. Newton's steps along such a distribution leave the cones by the square of their
@@ -29,6 +30,7 @@ PIVOTED = 30  # points at most: a tableau of many takes minutes, where half a st
 # residual of a solution, of the largest force; the same where roundoff in W (an elastic step of many wave transits) allows no
 # better; share of a Newton step below which the line search takes it
 FOUND, ACCEPTED, SHORTEST = constants("contact/friction.c", "FOUND", "ACCEPTED", "SHORTEST")
+(MISSED,) = constants("contact/complementarity.c", "MISSED")  # what a share of missed rates counts beside one of forces
 PAINLEVE = (
     " With large friction coefficients no solution with finite forces may exist (Painleve); use the Moreau scheme, which has "
     "impacts, or a smaller dt."
@@ -247,11 +249,14 @@ class Coulomb:
         return Iterate(x, u, *_alart_curnier(x, u, self.c, self.mu))
 
     def size(self, F: Array, x: Array) -> float:
-        """Largest residual over the largest force."""
+        """Largest residual over the largest force; of each contact also over its own force, or the rates without forces.
+
+        The largest force knows nothing of contacts of light bodies, which open and close at any rate under forces far below it.
+        """
         free = np.abs(self.c[:, :1] * self.q).max(initial=0.0)
         scale = free + min(np.abs(x).max(initial=0.0), 1e3 * free)  # large forces that cancel each other do not count
-
-        return float(np.abs(F).max(initial=0.0) / max(scale, 1e-300))
+        own = self.c * (np.abs(self.q).max(initial=0.0) / MISSED) + np.abs(x).max(axis=1, initial=0.0)[:, None]
+        return float((np.abs(F) / np.maximum(np.minimum(own, scale), 1e-300)).max(initial=0.0))
 
     def step(self, it: Iterate) -> Array:
         """Newton's step of the forces."""

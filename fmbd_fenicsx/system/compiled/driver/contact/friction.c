@@ -77,8 +77,11 @@ static double size_of(const Problem *o, int d, const double *q, const double *x)
     return fmax(free + fmin(largest(x, o->m * d), 1e3 * free), 1e-300);
 }
 
-/* Largest residual over the largest force. */
-static double residual_of(const Friction *o, int d) { return largest(o->F, o->n) / size_of(o->of, d, o->q, o->x); }
+/* Largest residual over the largest force, or that of the worst contact. */
+static double residual_of(const Friction *o, int d)
+{
+    return worst_contact(o->of, d, o->q, o->x, o->F, largest(o->F, o->n) / size_of(o->of, d, o->q, o->x));
+}
 
 /* The matrix of Newton's step, du W + own, times s. */
 static void slope_times(const Friction *o, int d, const double *own, const double *s, double *moved, double *y)
