@@ -143,6 +143,39 @@ def test_error_control_sees_memories(name: str) -> None:
         assert len(calls) < most * run.counters["steps"], scheme.name
 
 
+def limited(t: float, s: float, v: float, z: Array) -> tuple[float, Any]:
+    """What a limit cuts off is fed back."""
+    free = 40 * (1 - s) - 6 * v + 30 * z[0]
+    u = min(max(free, -8.0), 8.0)
+    return u, (1 - s - 0.5 * (free - u),)
+
+
+@compiled
+@pytest.mark.parametrize("driven", [True, False])
+@pytest.mark.parametrize("name", ["limited", "limited pid"])
+def test_error_control_of_one_step_methods_sees_memories(
+    name: str, driven: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Behind a limit the motion has no error, and steps grew over what the memory does: it was 1e-2 off for all tolerances."""
+    if not driven:
+        monkeypatch.setattr(choice, "driver_of", lambda *system: None)
+
+    def run(scheme: Any) -> fmbd.Run:
+        body = fmbd.RigidBody("wheel", 1.0, 1.0)
+        hinge = fmbd.revolute("hinge", fmbd.ground, body, center=(0, 0))
+        phi, scene = fmbd.angle(hinge), fmbd.Scene(name)
+        reads = {"s": phi, "v": fmbd.joint_rate(phi)}
+        law = lambda t, y, z: limited(t, y["s"][0], y["v"][0], z)  # noqa: E731
+        own = fmbd.controller("motor", reads=reads, acts=phi, law=law, memory=(0.0,))
+        pid = fmbd.pid("motor", phi, target=1.0, gains=(40.0, 30.0, 6.0), limit=8.0)
+        scene.add(body, hinge, own if name == "limited" else pid)
+        scene.sensor("phi", phi)
+        return fmbd.solve(scene, t_end=1.0, scheme=scheme, output=fmbd.Output(times=tuple(np.linspace(0.0, 1.0, 21))))
+
+    found, close = run(fmbd.GeneralizedAlpha(rtol=1e-5)), run(fmbd.Radau(rtol=1e-9))
+    assert float(np.abs(found["phi"] - close["phi"]).max()) < 2e-4
+
+
 def test_a_tighter_tolerance_is_met() -> None:
     run = fmbd.solve(wheel("filtered"), t_end=END, scheme=fmbd.Radau(rtol=1e-8), output=AT_TIMES)
     assert error(run, "filtered") < 2e-8

@@ -194,6 +194,12 @@ class ErrorNorm(Remembering):
         error = StepError(points, past, ends, rate, frequency, self.rtol, self.atol or 0.0)
         return worst(*(loads.memory_error(error) for loads in collocated(self.system)))
 
+    def of_trapezoids(self, state: State) -> float:
+        """The largest error of a memory of elements that goes by the trapezoidal rule to a state; collective."""
+        found = collocated(self.system)
+        kin = self.system.at(state.t, state.q, state.v).kin if found else None
+        return worst(*(loads.trapezoid_error(kin, state.t, self.rtol, self.atol or 0.0) for loads in found))
+
     def pushed(self, h: float, a: Array) -> float:
         """The norm of accelerations, (n,), or the largest over several, that count in no error; collective."""
         return worst(*(self.mean(x) for x in self._of_rates(h, a, 1)))

@@ -173,6 +173,10 @@ class Loads:
         """The error of the memory in the step whose points were found last, over the tolerance."""
         return 0.0
 
+    def trapezoid_error(self, kin: Kinematics, t: float, rtol: float, atol: float) -> float:
+        """The error of the memory that went to t, where markers are ``kin``, by the trapezoidal rule, over the tolerance."""
+        return 0.0
+
     def memory_values(self) -> Array:
         """The memory as numbers (m,) that small motions change; (0,) where it stays as it is."""
         return np.zeros(0)

@@ -135,6 +135,7 @@ class Calls:
             "EFFORTS": lambda number, t: tables.listening.efforts(t),
             "COLLOCATE": lambda number, t: tables.listening.collocate(),
             "MEMORY_ERROR": lambda number, t: tables.listening.tell_error(),
+            "TRAPEZOID_ERROR": lambda number, t: tables.listening.tell_trapezoid_error(t),
             "LEAD_MEMORIES": lambda number, t: tables.listening.lead(),
             "EFFORT_SLOPES": lambda number, t: tables.listening.slopes(t),
             "WRENCHES_AHEAD": lambda number, count: tables.whole[number].wrenches_ahead(int(count)),

@@ -230,9 +230,19 @@ class ControlLoads(Loads):
 
     def memory_error(self, of: StepError) -> float:
         """The error of z in the step whose points were found last, over the tolerance."""
+        return self.law.points.error(self.kept, of) if self._felt else 0.0
+
+    def trapezoid_error(self, kin: Kinematics, t: float, rtol: float, atol: float) -> float:
+        """That of z by (3) in a step that ends at t."""
+        if self.law.stated:
+            self.law.points.reach = self.spans[:1]
+        return self.law.trapezoid_error(t, self.read(kin), self.places, rtol, atol) if self._felt else 0.0
+
+    @property
+    def _felt(self) -> bool:
+        """Whether efforts answer to the memory."""
         law = self.controller.law
-        felt = not isinstance(law, PidLaw) or law.gains[1] > 0
-        return self.law.points.error(self.kept, of) if felt else 0.0
+        return not isinstance(law, PidLaw) or law.gains[1] > 0
 
     def memory_rates(self, ev: Any, t: float) -> Array:
         """g of (1), (m,)."""

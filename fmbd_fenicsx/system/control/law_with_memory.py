@@ -15,7 +15,7 @@ from ...errors import CallbackError, LawError, named
 from ...rotations import Array
 from .control_laws import PidLaw, differences, numbers_of, solved, unfelt
 from .control_memory import ControllerMemory, StepMemory
-from .memory_points import PointMemories, PointRule
+from .memory_points import PointMemories, PointRule, over
 from .readings import Readings
 
 if TYPE_CHECKING:
@@ -98,16 +98,32 @@ class LawWithMemory:
 
     def collocate(self, rule: PointRule, readings: Array, places: Array) -> None:
         """The memory at the points of a step, of readings (k, size) there; ``places``: as of :func:`.unfelt`."""
-        points = self.points
-        if points.least is None and not self.kept.past:
-            law, ask = self.controller.law, partial(self.asked, float(rule.t[0]))
-            if isinstance(law, PidLaw):
-                points.least = law.unfelt(places)
-            else:
-                points.least = unfelt(ask, readings[0], self.kept.z, places)
+        if self.points.least is None:
+            self._weigh(float(rule.t[0]), readings[0], places)
         if self.controller.memory:
-            points.find(self.kept, rule, readings, self.asked)
+            self.points.find(self.kept, rule, readings, self.asked)
             self._answers = {}  # of points that were somewhere else
+
+    def _weigh(self, t: float, y: Array, places: Array) -> None:
+        """Find what sizes are at least, by the first readings of a run."""
+        points, law = self.points, self.controller.law
+        if not self.kept.past:
+            stated = isinstance(law, PidLaw)
+            points.least = law.unfelt(places) if stated else unfelt(partial(self.asked, t), y, self.kept.z, places)
+
+    def trapezoid_error(self, t: float, y: Array, places: Array, rtol: float, atol: float) -> float:
+        """The error of z by (3) in a step that ends at t with these readings, over the tolerance,
+
+        (1 - h/2 dg/dz)^-1 h^3 / 6 g[t_n-1, t_n, t],     divided differences; rates before the first step as where it begins.
+        """
+        if self.points.least is None:
+            self._weigh(t, y, places)
+        (_, z, rate), kept, h = self.with_memory(t, y), self.kept, t - self.kept.t
+        before, last = (kept.t - kept.past[0][0], kept.before) if kept.past else (h, kept.rate)
+        off = h**3 / 6 * ((rate - kept.rate) / h - (kept.rate - last) / before) / (h + before)
+        if self._within.slopes is not None:
+            off = solved(np.eye(len(z)) - 0.5 * h * self._within.slopes, off)
+        return over(off, rtol * self.points.sizes(kept, t, z) + atol)
 
     def slopes(self, t: float, y: Array, spans: Array, *, quick: bool = False) -> Array:
         """du/dy, (acts, size), the memory going along: du/dy + du/dz (1 - w dg/dz)^-1 w dg/dy, w = h/2 in (3); what was found is

@@ -129,9 +129,8 @@ class PointMemories:
             miss = rule.couple @ z + behind - rates
             change = _change(rule.couple, slopes, miss)
             share = _share(change, size)
-            if (
-                own and not _share(change, earlier) <= (1.0 - FALLEN * part) * before
-            ):  # half as far: slopes of where it came from led astray
+            if own and not _share(change, earlier) <= (1.0 - FALLEN * part) * before:
+                # half as far: slopes of where it came from led astray
                 part, size = 0.5 * part, earlier
                 z = z + part * gone
                 continue
@@ -177,10 +176,13 @@ class PointMemories:
         if of.frequency:
             assert self.slopes is not None
             off = solved(of.frequency * np.eye(len(off)) - self.slopes[-1][1], off)
-        sizes = self.sizes(kept, self.t[-1], self.z[-1])
-        allowed = of.rtol * sizes + of.atol
-        counts = allowed != 0
-        return float(np.max(np.abs(off[counts]) / allowed[counts], initial=0.0))
+        return over(off, of.rtol * self.sizes(kept, self.t[-1], self.z[-1]) + of.atol)
+
+
+def over(off: Array, allowed: Array) -> float:
+    """The largest of errors (m,) over what is allowed (m,), where that is no zero."""
+    counts = allowed != 0
+    return float(np.max(np.abs(off[counts]) / allowed[counts], initial=0.0))
 
 
 def _change(couple: Array, slopes: list[Answers], miss: Array) -> Array:

@@ -30,6 +30,9 @@ of order h^3. What is stiff at one end only filters nothing, so that such a step
 touch w falls again with steps that are far larger than its time alone. The norm of w is that of velocities over the largest so
 far, where forces follow laws.
 
+Memories of controllers go by the trapezoidal rule, and what that misses of them counts, too: behind a limit the motion has no
+error, and its steps would grow over all that a memory does there.
+
 Sources: Bruels and Arnold, doi:10.1115/1.2960475 (variable steps); Zienkiewicz and Xie, doi:10.1002/eqe.4290200907 (the
 error); Shampine and Baca, doi:10.1145/357456.357462 (filters).
 """
@@ -327,7 +330,9 @@ class VariableAlpha(Around):
         kept, largest = self.resized.held, self.norm.largest
         try:
             self.resized.step(h)
-            error, cause = 0.0 if self.control.given else self._error(h), ESTIMATE
+            error, cause = 0.0, ESTIMATE
+            if not self.control.given:
+                error = worst(self._error(h), self.norm.of_trapezoids(self.state))
             self.resized.arrive(self.stretch.time(self.stretch.done + Fraction(1, parts(level))))
         except LinearSolveError as failure:
             error, cause = np.inf, self._losing(h, failure)

@@ -97,6 +97,7 @@ void share_memory(const System *s, System *with);
 void note_readings(System *s, int j);
 int find_memories(System *s);
 int memory_error(System *s, double *error);
+int trapezoid_error(System *s, double t, const double *q, const double *v, double rtol, double atol, double *error);
 int friction_overran(System *s, double t, double h, double share);
 void hold_friction(System *s, int back);
 void drag_friction(System *s, double t);

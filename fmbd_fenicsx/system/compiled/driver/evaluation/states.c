@@ -172,6 +172,33 @@ int memory_error(System *s, double *error)
     return DONE;
 }
 
+/* The largest error of memories that went to t by the trapezoidal rule, over the tolerance, where it is larger. */
+int trapezoid_error(System *s, double t, const double *q, const double *v, double rtol, double atol, double *error)
+{
+    Remembered *r = s->remembered;
+    int verdict;
+    if (!r) return DONE;
+    if ((verdict = place(s, q, v))) return verdict;
+    r->error = 0.0;
+    for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
+        if (!k->told && (k->role != FORMULA || k->formula != PID)) continue;
+        values(s, k);
+        efforts(s, k, t);
+        for (long i = 0; !k->told && i < k->n; i++) {
+            const double *p = k->constants + FORMULA_WIDTH * i;
+            *error = worse(*error, integral_missed(p, integral_of(k, i), k->s[i] - k->free[i], k->rate[i], t, rtol, atol));
+        }
+    }
+
+    if (!r->asked) return DONE;
+    read_all(s);
+    r->rtol = rtol;
+    r->atol = atol;
+    if (s->python(TRAPEZOID_ERROR, 0, t)) return FAILED;
+    *error = worse(*error, r->error);
+    return DONE;
+}
+
 /* Memories, and efforts between two samples, as other tables of the same system have them. */
 void share_memory(const System *s, System *with)
 {

@@ -131,24 +131,43 @@ static double integral_error(const double *p, const PidMemory *m, const Remember
     return allowed > 0.0 ? fabs(off) / allowed : 0.0;
 }
 
-/* The memory z and its growth g after a step. */
-static void pid_keep(const double *p, PidMemory *m, double x, double rate, double t)
+/* The memory z and its growth g at the end of a step. */
+static double integral_end(const double *p, const PidMemory *m, double x, double rate, double t, double *growth)
 {
-    double half = 0.5 * (t - m->t), k, c, error = p[4] - x, z, slope, growth = error;
+    double half = 0.5 * (t - m->t), k, c, error = p[4] - x, z, slope;
     int point = m->points > 0.0 && m->when[(int)m->points - 1] == t;
 
+    *growth = error;
     if (point) {
         z = m->then[(int)m->points - 1];
-        growth = integral_rate(p, z, error, p[5] - rate, &slope);
+        *growth = integral_rate(p, z, error, p[5] - rate, &slope);
     } else {
         double u = -pid_effort(p, m, x, rate, t, &k, &c), push = p[0] * error + p[1] * (p[5] - rate);
         z = m->z + half * (m->rate + error);
         if (fabs(push + p[3] * z) > p[2]) {
             z = (m->z + half * (m->rate + error + (u - push) / p[0])) / (1.0 + half * p[3] / p[0]);
-            growth = error + (u - push - p[3] * z) / p[0];
+            *growth = error + (u - push - p[3] * z) / p[0];
         }
     }
+    return z;
+}
 
+/* What the trapezoidal rule misses of the integral, over the tolerance: LawWithMemory.trapezoid_error. */
+static double integral_missed(const double *p, const PidMemory *m, double x, double rate, double t, double rtol, double atol)
+{
+    double growth, slope, h = t - m->t, z = integral_end(p, m, x, rate, t, &growth);
+    const int begun = m->count > 0.0;
+    const double before = begun ? m->t - m->times[0] : h, bend = (growth - m->rate) / h - (begun ? (m->rate - m->before) / before : 0.0);
+    const double allowed = rtol * integral_size(m, t, z) + atol;
+    if (p[3] == 0.0 || !(allowed > 0.0)) return 0.0;
+    integral_rate(p, z, p[4] - x, p[5] - rate, &slope);
+    return fabs(h * h * h / 6.0 * bend / (h + before)) / (1.0 - 0.5 * h * slope) / allowed;
+}
+
+/* Take up the end of a step. */
+static void pid_keep(const double *p, PidMemory *m, double x, double rate, double t)
+{
+    double growth, z = integral_end(p, m, x, rate, t, &growth);
     m->size = integral_size(m, t, z);
     if (t > m->t) {
         for (int i = PAST - 1; i > 0; i--) {

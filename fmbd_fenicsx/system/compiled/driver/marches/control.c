@@ -139,7 +139,8 @@ static int judged(System *s, const double *p, Control *c, const Block *past, con
     }
     const double span = p[STABILISED] != 0.0 ? 0.0 : 0.5 * p[H];
     int verdict = filtered(s, scale, span, NULL, out->q, out->v, c->a, out->lam, *out->t, c->missed_speed, c->e, c->y);
-    if (verdict) return verdict;
+    double forgotten = 0.0;
+    if (verdict || (verdict = trapezoid_error(s, *out->t, out->q, out->v, c->own->rtol, c->own->atol, &forgotten))) return verdict;
 
     reach(s, c, p[H], out);
     c->unknown = small(s, p, out->q, 0.0);
@@ -151,6 +152,7 @@ static int judged(System *s, const double *p, Control *c, const Block *past, con
         error = error_norm(s, c, out->q, c->e, 0.0);
     }
     if (error <= 1.0 && c->laws && p[HISTORY] >= 1.0 && (verdict = with_speeds(s, p, c, past, out, &error))) return verdict;
+    error = worse(error, forgotten);
     const Passing found = {.error = error};
     c->trial = error;
     if (!lets_pass(c->own, &found)) return SIZE;

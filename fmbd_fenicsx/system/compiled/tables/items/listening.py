@@ -228,6 +228,12 @@ class Listening:
         errors = [one.law.points.error(one.law.kept, of) for one in self._remembering]
         c.error = np.maximum.reduce(errors, initial=0.0)  # no number where one is none
 
+    def tell_trapezoid_error(self, t: float) -> None:
+        """That of memories that went to t by the trapezoidal rule, where C has read."""
+        c = self._points
+        errors = [one.law.trapezoid_error(t, one.y, one.loads.places, c.rtol, c.atol) for one in self._remembering]
+        c.error = np.maximum.reduce(errors, initial=0.0)
+
     def keep(self, t: float) -> None:
         """Take up an accepted step that ends at t."""
         for one in self.listeners:
