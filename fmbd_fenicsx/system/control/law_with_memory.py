@@ -107,9 +107,12 @@ class LawWithMemory:
     def _weigh(self, t: float, y: Array, places: Array) -> None:
         """Find what sizes are at least, by the first readings of a run."""
         points, law = self.points, self.controller.law
-        if not self.kept.past:
-            stated = isinstance(law, PidLaw)
-            points.least = law.unfelt(places) if stated else unfelt(partial(self.asked, t), y, self.kept.z, places)
+        if self.kept.past:
+            return
+        if isinstance(law, PidLaw):
+            points.least = law.unfelt(places)
+        else:
+            points.least = unfelt(partial(self.asked, t), y, self.kept.z, places)
 
     def trapezoid_error(self, t: float, y: Array, places: Array, rtol: float, atol: float) -> float:
         """The error of z by (3) in a step that ends at t with these readings, over the tolerance,
