@@ -252,10 +252,12 @@ class Coulomb:
         """Largest residual over the largest force; of each contact also over its own force, or the rates without forces.
 
         The largest force knows nothing of contacts of light bodies, which open and close at any rate under forces far below it.
+        Large forces on light bodies count up to where their roundoff, in rates, is all that others move by.
         """
         free = np.abs(self.c[:, :1] * self.q).max(initial=0.0)
         scale = free + min(np.abs(x).max(initial=0.0), 1e3 * free)  # large forces that cancel each other do not count
-        own = self.c * (np.abs(self.q).max(initial=0.0) / MISSED) + np.abs(x).max(axis=1, initial=0.0)[:, None]
+        light = self.c * (np.abs(self.q).max(initial=0.0) / MISSED)
+        own = light + np.minimum(np.abs(x).max(axis=1, initial=0.0)[:, None], light / MISSED)
         return float((np.abs(F) / np.maximum(np.minimum(own, scale), 1e-300)).max(initial=0.0))
 
     def step(self, it: Iterate) -> Array:

@@ -54,14 +54,16 @@ static void scales(const Problem *o, int i, int d, double *cn, double *ct)
 }
 
 /* The worse of a residual and of that of each contact beside its own force, or beside the rates without forces, as coulomb.py: the
-   largest force knows nothing of contacts of light bodies, which open and close at any rate under forces far below it. */
+   largest force knows nothing of contacts of light bodies, which open and close at any rate under forces far below it, and large
+   forces on light bodies count up to where their roundoff, in rates, is all that others move by. */
 static double worst_contact(const Problem *o, int d, const double *q, const double *x, const double *F, double residual)
 {
     const double free = largest(q, o->m * d) / MISSED;
     for (int i = 0; i < o->m * d; i++) {
         double cn, ct;
         scales(o, i / d, d, &cn, &ct);
-        residual = worse(residual, fabs(F[i]) / fmax((i % d ? ct : cn) * free + largest(x + i / d * d, d), 1e-300));
+        const double light = (i % d ? ct : cn) * free, own = light + fmin(largest(x + i / d * d, d), light / MISSED);
+        residual = worse(residual, fabs(F[i]) / fmax(own, 1e-300));
     }
     return residual;
 }
