@@ -147,6 +147,6 @@ def test_steps_that_turn_bodies_far_stay_in_compiled_code() -> None:
     stepper.newton.iterations = 0
     for _ in range(20):
         stepper.advance(0.1)
-    assert stepper._used is not None and stepper.age.apart is False
+    assert stepper._used is not None and not stepper.account.otherwise
     assert stepper.newton.iterations < 9 * 20
     assert len(asked) < 5 * 20

@@ -183,7 +183,8 @@ def read_urdf(file: str | Path, *, start: Mapping[str, float] | None = None) -> 
             that a mimic contradicts; all named.
     """
     path = Path(instance("read_urdf: file", file, (str, Path)))
-    start = {} if start is None else {joint: number(f'read_urdf: start of "{joint}"', x) for joint, x in start.items()}
+    start = {} if start is None else instance("read_urdf: start", start, Mapping)
+    start = {joint: number(f'read_urdf: start of "{joint}"', x) for joint, x in start.items()}
     model = _parsed(path)
     _check_names(path, model)
     _check_start(model.joints, start)
