@@ -167,7 +167,7 @@ class Entries:
 @pytest.mark.parametrize("make", SCENES, ids=NAMES)
 def test_same_steps_in_one_call_and_one_by_one(make: Any, way: str) -> None:
     """The same sizes and refusals; values to roundoff, which stiff forces and short steps amplify. Errors of velocities are
-    second differences of accelerations: Newton's iteration leaves little.
+    second differences of accelerations: Newton's iteration leaves little, and of the one that is allowed they are known to 1e-4.
     """
     settings = {**WAYS[way], "newton": fmbd.Newton(tolerance=1e-8)}
     with pytest.MonkeyPatch.context() as patch:
@@ -184,8 +184,10 @@ def test_same_steps_in_one_call_and_one_by_one(make: Any, way: str) -> None:
     assert fast.counters["newton_iterations"] == pytest.approx(slow.counters["newton_iterations"], rel=0.02)
     assert np.allclose(fast.times, slow.times, rtol=1e-12, atol=1e-14)
     for t, seen in entries.seen.items():
-        assert seen == pytest.approx(single.seen[t], rel=1e-5, abs=1e-9), t
-    assert fast.local_error == pytest.approx(slow.local_error, rel=1e-5)
+        error, *sizes = single.seen[t]
+        assert seen[0] == pytest.approx(error, rel=1e-5, abs=1e-4), t
+        assert seen[1:] == pytest.approx(sizes, rel=1e-5, abs=1e-9), t
+    assert fast.local_error == pytest.approx(slow.local_error, rel=1e-5, abs=1e-4)
     for name in fast.scene.sensors:
         assert np.abs(fast[name] - slow[name]).max() < 1e-7 * np.abs(slow[name]).max(), name
     for kind, energy in fast.energy.items():
@@ -203,8 +205,8 @@ def test_sizes_change_in_compiled_code(make: Any, monkeypatch: pytest.MonkeyPatc
     sizes = np.diff(run.times)
     changes = np.count_nonzero(np.abs(np.diff(sizes)) > 1e-6 * sizes[1:]) + run.counters["rejections"]
     assert changes > 10 and run.counters["steps"] > 900
-    assert entries.counts["single"] == 1  # the first
-    assert entries.counts["calls"] < 0.02 * run.counters["steps"]
+    assert entries.counts["single"] <= 2  # the first, and one whose size a look refused in the midst
+    assert entries.counts["single"] + entries.counts["calls"] < 0.02 * run.counters["steps"]
 
 
 def test_elastic_bodies_change_their_sizes_in_python(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -231,8 +231,8 @@ def bouncing(k: float, damping: float = 0.0) -> fmbd.Scene:
 @pytest.mark.parametrize(
     ("scheme", "dt", "k", "words"),
     [
-        (fmbd.GeneralizedAlpha(rtol=1e-2), None, 1e6, ["the energy grows by", "of the energy is lost in a step"]),
-        (fmbd.GeneralizedAlpha(rtol=1e-4), None, 1e6, []),
+        (fmbd.GeneralizedAlpha(rtol=0.3), None, 1e6, ["the energy grows by", "of the energy is lost in a step"]),
+        (fmbd.GeneralizedAlpha(rtol=1e-2), None, 1e6, []),
         (fmbd.GeneralizedAlpha(), 0.013, 1e6, ["the energy grows by", "of the energy is lost in a step"]),
         (fmbd.Radau(rtol=1e-6), None, 1e6, []),
         (fmbd.GeneralizedAlpha(), 1e-4, 1e6, []),

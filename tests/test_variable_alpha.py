@@ -292,6 +292,20 @@ def test_what_is_foretold_by_a_load_that_has_gone_counts_no_longer(
     assert np.abs(run["place"][:, 0] - exact).max() < 120 * 1e-5 * np.ptp(exact)
 
 
+def test_velocities_that_refused_steps_would_reach_are_no_measure() -> None:
+    """A motor at its limit turns a pendulum up: velocities counted by 11 times the largest, that of one step of the whole run."""
+    scene = fmbd.Scene("up", gravity=(0.0, -9.81))
+    bob = fmbd.RigidBody("bob", 1.0, 0.1, (0.0, -0.5))
+    axle = fmbd.revolute("axle", fmbd.ground, bob, center=(0.0, 0.0))
+    turn = fmbd.angle(axle)
+    scene.add(bob, axle, fmbd.motor("motor", turn, target=lambda t: 3.0, kp=80.0, kd=8.0, limit=4.0))
+    scene.sensor("rate", fmbd.joint_rate(turn))
+    output = fmbd.Output(times=tuple(np.linspace(0.0, 3.0, 81)), energy=False)
+    exact = fmbd.solve(scene, t_end=3.0, scheme=fmbd.Radau(3, rtol=1e-8), output=output)["rate"]
+    run = fmbd.solve(scene, t_end=3.0, scheme=fmbd.GeneralizedAlpha(rtol=1e-3), output=output)
+    assert np.abs(run["rate"] - exact).max() < 3e-3 * np.ptp(exact)  # 7.7e-3
+
+
 @pytest.mark.parametrize("turn", [1.0, 1e-3])
 def test_what_drives_will_move_is_known_at_the_start(turn: float) -> None:
     """A slow start takes no more steps than the rest: against the motion so far it took twice as many in all."""
