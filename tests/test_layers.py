@@ -27,6 +27,7 @@ FLOORS = [
         "ranks",
         "agreement",
         "leaving",
+        "scripts",
         "uncopied",
         "answers",
     },

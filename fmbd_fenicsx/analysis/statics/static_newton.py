@@ -153,7 +153,7 @@ class StaticNewton:
     def solve(self, start: StaticPoint, t: float, rest: Pair) -> StaticPoint:
         """The point where both residuals equal ``rest``; ConvergenceError where the iteration ends elsewhere."""
         self.slow = False
-        # of the exact tangent, with inertia beside it, and those that may end with roundoff, each where those before fail
+        # increments of the exact tangent, with inertia beside it, those that may end with roundoff: each where those before fail
         whole, damped = (WHOLE, self._whole_increment), (DAMPED, self._damped_increment)
         ways = [(whole, False, False), (damped, False, False), (whole, True, False), (whole, False, True)]
         pressures = self.solver.pressures

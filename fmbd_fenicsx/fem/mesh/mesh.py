@@ -7,7 +7,6 @@ the mesh is distributed.
 
 from __future__ import annotations
 
-import importlib.util
 import inspect
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -20,9 +19,10 @@ import numpy as np
 
 from ... import dolfinx_compat as compat
 from ...checks import instance, number, vector, word, words
-from ...errors import InputError, MeshError, named, near
+from ...errors import InputError, MeshError, near
 from ...ranks import together
 from ...rotations import motions
+from ...scripts import module_of
 from .checks import Checked, check_model, name_of_volumes
 from .facet_groups import Tag
 
@@ -330,11 +330,7 @@ def _load(
     require_file(path)
 
     if path.suffix == ".py":
-        spec = importlib.util.spec_from_file_location(f"fmbd_mesh_{path.stem}", path)
-        assert spec is not None and spec.loader is not None
-        module = importlib.util.module_from_spec(spec)
-        named("Mesh script", str(path), spec.loader.exec_module, time=None)(module)
-
+        module = module_of("Mesh script", path)
         if not hasattr(module, "build"):
             raise MeshError(f"Mesh script {path} has no function build(gmsh, **parameters).")
         _check_parameters(str(path), module.build, parameters)

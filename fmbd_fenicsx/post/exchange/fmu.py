@@ -10,14 +10,14 @@ its reason in the log, and the unit stands where it stood; an input outside of i
 from __future__ import annotations
 
 import ctypes
-import importlib.util
 from collections.abc import Callable
 from math import inf
 from pathlib import Path
 from typing import Any
 
-from ...errors import FmbdError, InputError, named, require
+from ...errors import FmbdError, InputError, require
 from ...run.co_simulation import Unit
+from ...scripts import module_of
 from ...system.scene.scene import Scene
 
 _TEXT = '''"""Written by fmbd_fenicsx: {script} as a unit of FMI 3.0."""
@@ -53,11 +53,7 @@ class {name}(Fmi3Slave):
 
 def load(script: Path) -> Callable[[], Scene]:
     """The function ``scene`` of a script."""
-    spec = importlib.util.spec_from_file_location(f"fmu_of_{script.stem}", script)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    named("Script", str(script), spec.loader.exec_module, time=None)(module)
-    make = vars(module).get("scene")
+    make = vars(module_of("Script", script)).get("scene")
     require(callable(make), f"{script} has no function scene() that returns a fmbd.Scene.")
     return make  # type: ignore[return-value]
 

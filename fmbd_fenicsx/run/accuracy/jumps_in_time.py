@@ -36,7 +36,6 @@ UNEVEN = 0.3  # share of the change in an interval that its neighbours do not te
 SAMPLED = 8  # one in so many of the others is looked at, too
 AT_ONCE = 2e6  # numbers of an evaluation at many instants
 
-
 Given = ParamSpec("Given")
 
 

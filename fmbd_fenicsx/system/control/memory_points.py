@@ -118,7 +118,8 @@ class PointMemories:
         left = solved(rule.couple, behind)
         # rates and places of an iterate that is far off would hide what is left
         least = np.maximum(self.sizes(kept, kept.t, kept.z), (t[-1] - kept.t) * self.widest(kept))
-        before, own, part, gone, size = np.inf, False, 1.0, np.zeros_like(z), least
+        before, own, size = np.inf, False, least
+        step, taken = np.zeros_like(z), 1.0  # the newest increment, and the share of it that is taken
 
         for _ in range(SWEEPS):
             answers = [laws[i](z[i]) for i in range(k)]
@@ -126,21 +127,23 @@ class PointMemories:
             earlier, size = size, np.maximum(least, _largest(z + left))
             if slopes is None:
                 slopes = [differences(z[-1], size, laws[-1], answers[-1])] * k
+
             miss = rule.couple @ z + behind - rates
             change = _change(rule.couple, slopes, miss)
             share = _share(change, size)
-            if own and not _share(change, earlier) <= (1.0 - FALLEN * part) * before:
+            if own and not _share(change, earlier) <= (1.0 - FALLEN * taken) * before:
                 # half as far: slopes of where it came from led astray
-                part, size = 0.5 * part, earlier
-                z = z + part * gone
+                taken, size = 0.5 * taken, earlier
+                z = z + taken * step
                 continue
+
             own = share > FALLS * before
             if own:  # each point has its own
                 slopes = [differences(z[i], size, laws[i], answers[i]) for i in range(k)]
                 change = _change(rule.couple, slopes, miss)
                 share = _share(change, size)
 
-            gone, part = change, 1.0
+            step, taken = change, 1.0
             if share > LEFT:
                 z = z - change
             if share <= NEAR and (share <= LEFT or np.all(_largest(solved(rule.couple, miss)) <= size)):

@@ -53,8 +53,8 @@ LOOKS = (0.118, 0.236, 0.382, 0.5, 0.618, 0.764, 0.882)  # where in a step loads
 # where else drives are, whose steps may have to be much smaller: a few in a decade
 FINER = 2.45 ** -np.arange(2.0, 14.0)
 SAFETY = 0.9
-_AT = np.vander((0.0, *LOOKS, 1.0), 4)
-UNFOLLOWED = (np.eye(len(_AT)) - _AT @ np.linalg.pinv(_AT))[:, 1:-1]  # by a cubic, of what leaves a line between
+CUBICS = np.vander((0.0, *LOOKS, 1.0), 4)  # values at the ends of a step and between, by coefficients
+UNFOLLOWED = (np.eye(len(CUBICS)) - CUBICS @ np.linalg.pinv(CUBICS))[:, 1:-1]  # by these, of what leaves a line between
 
 
 @dataclass(frozen=True)
@@ -124,12 +124,14 @@ class LookAhead:
         largest = h * h / 6.0 * self._farthest(unseen.reshape(-1, forces.shape[1]))
         self.norm.update(s, h)
         missed = self._at_most(s, h, largest, lambda e: self._error(h, e))
-        if (known := worst(missed, self._giving_way(s, h, forces[0] - forces))) > 1.0:
-            return known
+        found = worst(missed, self._giving_way(s, h, forces[0] - forces))
+        if found > 1.0:
+            return found
 
+        # of the step in which it is the largest
         rough = (UNFOLLOWED @ between).reshape(-1, forces.shape[1])
         most = self._largest(rough)
-        return self._unfollowed(s, h, rough[most], jumps[most // len(_AT)])
+        return self._unfollowed(s, h, rough[most], jumps[most // len(CUBICS)])
 
     def _unfollowed(self, s: State, h: float, rough: Array, jump: Array) -> float:
         """The norm of (1) of what no cubic follows, in a step of size h (s) whose ends differ by a ``jump``; where that is above

@@ -60,8 +60,6 @@ from ...tangent_account import TangentAccount
 from .steps_in_parts import NEAR, NOTHING, ROUNDOFF, StepsInParts
 
 WORTH = 8  # increments of a step that cost what new tangents do: their matrices, factors and columns
-
-
 LONGEST = 3  # means that are kept
 
 
