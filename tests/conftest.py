@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from fmbd_fenicsx.kernel_cache import compiler
 from fmbd_fenicsx.ranks import world_size
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -26,7 +27,10 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    """Tests that start programs of their own or count processes make no sense under mpirun."""
+    """What cannot be tested here. Code that does not compile is no reason: it would run in NumPy."""
+    if item.get_closest_marker("compiled") is not None and compiler() is None:
+        pytest.skip("no C compiler")
+    # tests that start programs of their own or count processes make no sense under mpirun
     if world_size() > 1 and item.get_closest_marker("serial") is not None:
         pytest.skip("for one rank only")
 

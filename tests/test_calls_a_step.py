@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from chains import chain
 from profiled import calls_of
-from test_driver import compiled
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.materials import plane_stress
@@ -131,7 +130,7 @@ def calls_a_step(scene: Callable[[], fmbd.Scene], scheme: Any, asked: list[float
     return (calls[1] - calls[0]) / 40, (functions[1] - functions[0]) / 40
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("kind", ["of time", "of motion", "own force", "road", "curve", "own coordinates", "own rows"])
 @pytest.mark.parametrize("scheme", SCHEMES, ids=lambda s: s.name)
 def test_calls_a_step(scheme: Any, kind: str) -> None:
@@ -141,7 +140,7 @@ def test_calls_a_step(scheme: Any, kind: str) -> None:
     assert found < AROUND + EACH * each
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("scheme", SCHEMES, ids=lambda s: s.name)
 def test_calls_of_functions_of_plain_numbers(scheme: Any) -> None:
     """Their rates are those of polynomials: each function is asked for its place, and seldom for more."""
@@ -152,7 +151,7 @@ def test_calls_of_functions_of_plain_numbers(scheme: Any) -> None:
     assert found < AROUND + EACH * each
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("scheme", [fmbd.Radau(2, rtol=None), fmbd.BDF(5, rtol=None)], ids=lambda s: s.name)
 def test_tangents_take_slopes_of_forces(scheme: Any) -> None:
     """A force is asked at the iterates of the stages, and for its slopes: differences asked it three times a colour."""
@@ -163,7 +162,7 @@ def test_tangents_take_slopes_of_forces(scheme: Any) -> None:
     assert each < getattr(scheme, "stages", 1) * (increments + 1.0) + 3.0 * tangents
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("kind", ["own coordinates", "of motion", "curve", "arrays of time"])
 def test_usable_answers_take_few_calls(kind: str) -> None:
     """Own equations and controllers are asked at all stages in one call, joints told once in a row, arrays looked at by NumPy."""
@@ -172,7 +171,7 @@ def test_usable_answers_take_few_calls(kind: str) -> None:
     assert found < AROUND + USABLE * each
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize(("scheme", "most"), [(fmbd.Radau(3, rtol=None), 19.0), (fmbd.BDF(5, rtol=None), 30.0)])
 def test_calls_of_a_law_with_a_memory(scheme: Any, most: float) -> None:
     """Its equations at the points of a step are solved with few calls beside those of the law: they were 24 and 46 an answer."""
@@ -189,7 +188,7 @@ def test_calls_of_a_law_with_a_memory(scheme: Any, most: float) -> None:
     assert found < AROUND + most * each
 
 
-@compiled
+@pytest.mark.compiled
 def test_laws_are_asked_once_for_all_stages() -> None:
     """Of an increment, with arrays of all elements and times, and one of them alone beside; the end of the step asks anew."""
     asked: list[float] = []
@@ -208,7 +207,7 @@ def test_laws_are_asked_once_for_all_stages() -> None:
     assert found < AROUND + 8.0 * each
 
 
-@compiled
+@pytest.mark.compiled
 def test_forces_are_asked_together_at_all_stages() -> None:
     """Each point costs the call of the law with what is checked of its answer, all else is one call for them."""
     asked: list[float] = []
@@ -216,7 +215,7 @@ def test_forces_are_asked_together_at_all_stages() -> None:
     assert found < AROUND + 16.0 * each
 
 
-@compiled
+@pytest.mark.compiled
 def test_joints_that_do_not_read_the_time_are_not_asked_at_others() -> None:
     """Whether one depends on time cost two calls of it wherever its rows were asked for."""
     asked: list[float] = []
@@ -264,7 +263,7 @@ def links_of_hardly_any_mass() -> fmbd.Scene:
     return scene
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("scheme", SCHEMES, ids=lambda s: s.name)
 def test_calls_beside_bodies_of_hardly_any_mass(scheme: Any) -> None:
     """The rows of their joints look alike in the metric of masses, and do not depend on each other."""
@@ -280,7 +279,7 @@ def sampled(every: float, count: int = 4) -> fmbd.Scene:
     return scene
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("scheme", SCHEMES, ids=lambda s: s.name)
 def test_calls_of_a_sample(scheme: Any) -> None:
     """A sample is taken between calls of compiled code; its efforts are read there without one, and the new start is one."""
@@ -288,7 +287,7 @@ def test_calls_of_a_sample(scheme: Any) -> None:
     assert found < SAMPLE
 
 
-@compiled
+@pytest.mark.compiled
 def test_calls_of_a_sample_on_an_elastic_body(rod_mesh: Callable[..., Any]) -> None:
     """Compiled code makes the new start behind a sample: NumPy evaluated ten states for it, by 3 800 calls."""
 
@@ -306,7 +305,7 @@ def test_calls_of_a_sample_on_an_elastic_body(rod_mesh: Callable[..., Any]) -> N
     assert (many - few) / 10 < ON_FIELDS
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("period", [1, 20])
 @pytest.mark.parametrize("scheme", [x for x in SCHEMES if not isinstance(x, fmbd.BDF)], ids=lambda s: s.name)
 def test_calls_of_a_sample_between_recorded_steps(scheme: Any, period: int) -> None:
@@ -321,7 +320,7 @@ def test_calls_of_a_sample_between_recorded_steps(scheme: Any, period: int) -> N
     assert (many - few) / 10 < RECORDED
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize(("scheme", "every"), [(SCHEMES[0], None), (SCHEMES[2], 20 * DT)])
 def test_calls_of_recorded_efforts(scheme: Any, every: float | None) -> None:
     """Records have the efforts of controllers, of several coordinates too: no state is read on its own."""
@@ -346,7 +345,7 @@ def test_calls_of_recorded_efforts(scheme: Any, every: float | None) -> None:
     assert all(x == pytest.approx(read[name], rel=1e-12, abs=1e-12) for name, x in told.series.items())
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("scheme", OWN, ids=lambda s: s.name)
 def test_calls_of_own_steps_between_samples(scheme: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Compiled code makes all but those that end with a sample, as Python makes them."""
@@ -364,7 +363,7 @@ def test_calls_of_own_steps_between_samples(scheme: Any, monkeypatch: pytest.Mon
     assert ends[1].state.q == pytest.approx(alone.state.q, rel=1e-9, abs=1e-9)
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("scheme", [*OWN, fmbd.GeneralizedAlpha(rtol=1e-5)], ids=lambda s: s.name)
 def test_calls_of_own_steps_with_events(scheme: Any) -> None:
     """Steps are looked into for crossings many at a time."""
@@ -392,7 +391,7 @@ def nut(t_end: float, scheme: Any) -> fmbd.Run:
     return fmbd.solve(scene, t_end=t_end, scheme=scheme, output=fmbd.Output(times=(0.0, t_end), progress=False))
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("scheme", [*OWN, fmbd.ExplicitRungeKutta(1e-6)], ids=lambda s: s.name)
 def test_calls_far_from_the_origin(scheme: Any) -> None:
     """Joints close there but for a roundoff above the share of the length that compiled code waited for: 400 to 550 calls."""
@@ -401,7 +400,7 @@ def test_calls_far_from_the_origin(scheme: Any) -> None:
     assert (long - short) / (ends[1].counters["steps"] - ends[0].counters["steps"]) < AROUND
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("scheme", OWN, ids=lambda s: s.name)
 def test_the_function_of_a_joint_is_asked_once_for_a_state(scheme: Any) -> None:
     """Half of the calls had the arguments of one before; a record asks for rows alone while it closes places."""

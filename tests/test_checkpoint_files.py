@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 import pytest
 from programs import ROOT, launch
-from test_driver import compiled
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import CheckpointError, InputError, Stopped
@@ -343,7 +342,7 @@ def test_by_the_clock(tmp_path: Path) -> None:
     assert steps(tmp_path) == [0, 1, 2, 3, 4, 5]
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize(
     ("scheme", "dt"), [(fmbd.GeneralizedAlpha(), 1e-3), (fmbd.Rattle(), 1e-3), (fmbd.Radau(rtol=1e-9), None)]
 )

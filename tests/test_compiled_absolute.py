@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 from test_compiled import pair
-from test_driver import compiled
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.materials import (
@@ -21,7 +20,7 @@ from fmbd_fenicsx.materials import (
 from fmbd_fenicsx.schemes.onestep.alpha.field_stepper import FieldStepper
 from fmbd_fenicsx.system.compiled.choice import driver_states
 
-pytestmark = compiled
+pytestmark = pytest.mark.compiled
 LENGTH = 1.0  # m, of the rod
 BODIES: dict[str, dict[str, Any]] = {
     "small strains": {"elastic": linear_elastic(1e8, 0.3), "stiffness_damping": 1e-4},

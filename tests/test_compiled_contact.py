@@ -12,9 +12,8 @@ from test_contact import BLOCK
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.linear import condensation
 from fmbd_fenicsx.schemes.impacts.compiled import driver
-from fmbd_fenicsx.system.compiled.library import driver_library
 
-pytestmark = pytest.mark.skipif(driver_library(2) is None, reason="no C compiler")
+pytestmark = pytest.mark.compiled
 
 
 def in_numpy(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -19,9 +19,8 @@ from fmbd_fenicsx.errors import ConvergenceError
 from fmbd_fenicsx.materials import plane_stress
 from fmbd_fenicsx.run.judges.force_balance import Balanced
 from fmbd_fenicsx.schemes.onestep.alpha.variable_alpha import VariableAlpha
-from fmbd_fenicsx.system.compiled.library import driver_library
 
-pytestmark = pytest.mark.skipif(driver_library(2) is None, reason="no C compiler")
+pytestmark = pytest.mark.compiled
 SI = unit_scenes.Units(1.0, 1.0, 1.0)
 QUIET: dict[str, Any] = {"progress": False}
 

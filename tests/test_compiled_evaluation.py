@@ -10,7 +10,7 @@ import pytest
 from own_bodies import carrier, line_and_bob
 from profiled import calls_of
 from test_driver import SCENES as OF_THE_DRIVER
-from test_driver import compiled, joint_springs, suspended
+from test_driver import joint_springs, suspended
 from test_evaluation_batch import plane
 from test_kernel import PLANE, SPACE
 from test_rods import UNIT
@@ -97,7 +97,7 @@ def answers(ev: Any, a: np.ndarray, lam: np.ndarray) -> dict[str, np.ndarray]:
     }
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("name", MAKERS)
 def test_equal_to_numpy(name: str) -> None:
     plain, driven, (t, q, v, a, lam) = pair_of(MAKERS[name])
@@ -129,7 +129,7 @@ def test_equal_to_numpy(name: str) -> None:
     assert back[1] == pytest.approx(back[0], rel=1e-12, abs=1e-12)
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("form", [fmbd.Index3(), fmbd.Index2(), fmbd.GGL()], ids=lambda form: form.name)
 @pytest.mark.parametrize("name", ["plane", "reduced 2D", "reduced 3D"])
 def test_points_of_implicit_steps(name: str, form: Any) -> None:
@@ -150,7 +150,7 @@ def test_points_of_implicit_steps(name: str, form: Any) -> None:
         assert calls_of(lambda: eq.residual(t, points)) <= 20
 
 
-@compiled
+@pytest.mark.compiled
 def test_calls_of_python_for_one_call_of_c() -> None:
     """One start with many increments, as stages ask: NumPy would see some thirty calls in that one row serves all. The balance
     with its rows: one call of C.
@@ -173,7 +173,7 @@ def test_calls_of_python_for_one_call_of_c() -> None:
     assert calls_of(equations) <= 16
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize(
     ("scheme", "most"),
     [
@@ -194,7 +194,7 @@ def test_a_step_enters_few_functions_of_python(scheme: Any, most: int) -> None:
     assert calls_of(lambda: run(20)) - calls_of(lambda: run(10)) <= 10 * most
 
 
-@compiled
+@pytest.mark.compiled
 def test_laws_of_time_are_asked_once_a_state() -> None:
     """What an input says is asked again with every state, at the same time too: it can be set in between."""
     asked: list[float] = []
@@ -225,7 +225,7 @@ def test_laws_of_time_are_asked_once_a_state() -> None:
     assert asked == [0.3, 0.3] and first - balances(given) == pytest.approx(2.0, rel=1e-12)
 
 
-@compiled
+@pytest.mark.compiled
 def test_answers_are_the_callers_own() -> None:
     """Who changes an answer changes no later one."""
     _, driven, (t, q, v, _, _) = pair_of(plane)
@@ -236,7 +236,7 @@ def test_answers_are_the_callers_own() -> None:
             assert np.isfinite(ask()).all()
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("make", [joint_springs, suspended])
 def test_an_array_that_is_written_into_is_another_state(make: Any) -> None:
     """What was found of a state serves again for the same values only, not for the same array."""

@@ -2,36 +2,41 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
 from typing import Any
 
 import pytest
+from test_declarations import said_of
 from test_driver import bushings, links, tyre
 from test_kernel import flexible
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx import kernel_cache
-from fmbd_fenicsx.system.compiled.library import CONTACT, IMPLICIT, RODS, driver_library, units_of
+from fmbd_fenicsx.kernel_cache import load_library
+from fmbd_fenicsx.mechanics.kinds.library import package_kernels
+from fmbd_fenicsx.system.compiled.declarations import DRIVER
+from fmbd_fenicsx.system.compiled.library import CONTACT, CORE, IMPLICIT, _source, driver_library, units_of
 from fmbd_fenicsx.system.compiled.states import evaluation
 
-pytestmark = pytest.mark.skipif(kernel_cache.compiler() is None, reason="no C compiler")
+pytestmark = pytest.mark.compiled
+
+SOURCES = {path.relative_to(DRIVER): path.read_text() for path in sorted(DRIVER.rglob("*.c"))}
+INCLUDED = {Path(name) for text in SOURCES.values() for name in re.findall(r'#include "(.*)"', text)}
+UNITS = [path.with_suffix("").as_posix() for path in SOURCES if path not in INCLUDED]
 
 
 @pytest.mark.parametrize("dim", [2, 3])
-def test_all_units_compile(dim: int) -> None:
-    """A unit with an error would let everything run in NumPy."""
-    rods = (RODS,) if dim == 3 else ()
-    units = (
-        "bodies/reduced",
-        "bodies/told",
-        "fields/fields",
-        *rods,
-        "forces/mounts",
-        "forces/whole",
-        CONTACT,
-        IMPLICIT,
-    )
-    assert driver_library(dim) is not None
-    assert driver_library(dim, units) is not None
+@pytest.mark.parametrize("unit", UNITS)
+def test_units_compile_without_a_warning(unit: str, dim: int) -> None:
+    assert not said_of(_source(dim, unit), f"-DDIM={dim}", "-Wall", "-Wextra")
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_all_units_are_linked(dim: int) -> None:
+    """A unit with an error, or two that share a name, would let everything run in NumPy."""
+    assert set(CORE) < set(UNITS)
+    assert driver_library(dim, tuple(name for name in UNITS if name not in CORE)) is not None
+    assert load_library(package_kernels(dim)) is not None
 
 
 def test_a_scene_gets_the_units_that_it_needs() -> None:

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 from test_compiled_evaluation import MAKERS, pair_of
-from test_driver import compiled
 from test_rods import UNIT, follower, stiffening
 
 import fmbd_fenicsx as fmbd
@@ -42,7 +41,7 @@ def stepper_of(system: System, state: State) -> EnergyMomentumStepper:
     return fmbd.EnergyMomentum().stepper(system, StepSolver(system), fmbd.Newton(), state)
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("name", SCENES)
 def test_residuals_are_those_of_numpy(name: str) -> None:
     """Of accelerations and multipliers that nothing balances, over a step that turns bodies by some hundredths of a radian."""
@@ -76,7 +75,7 @@ def loaded() -> fmbd.Scene:
     return scene
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("h", [2e-3, 0.1])
 def test_steps_are_those_of_numpy(h: float) -> None:
     """Small ones by the matrix of the middle, large ones by differences."""
@@ -93,7 +92,7 @@ def test_steps_are_those_of_numpy(h: float) -> None:
         assert other == pytest.approx(one, rel=1e-7, abs=1e-8 * np.abs(one).max()), name
 
 
-@compiled
+@pytest.mark.compiled
 def test_laws_are_asked_once_for_a_step_and_once_for_all_points() -> None:
     """What depends on time only does not change in a step; laws take the points of a mean as arrays (3, n)."""
     times: list[float] = []
@@ -127,7 +126,7 @@ def test_laws_are_asked_once_for_a_step_and_once_for_all_points() -> None:
     assert (3, 4) in shapes
 
 
-@compiled
+@pytest.mark.compiled
 def test_steps_that_turn_bodies_far_stay_in_compiled_code() -> None:
     """Increments tell what the matrix of the middle leaves out of a turn of half a radian: a free top under a torque."""
     asked: list[float] = []

@@ -11,7 +11,6 @@ import pytest
 from own_bodies import Carrier, SlidingMass, carrier, line_and_bob
 from profiled import calls_of
 from test_calls_a_step import OWN, SCHEMES, scene_of
-from test_driver import compiled
 from test_line_body import line
 
 import fmbd_fenicsx as fmbd
@@ -70,7 +69,7 @@ def compare(make: Callable[[], fmbd.Scene], form: Any) -> None:
     np.testing.assert_allclose(fast["place"], slow["place"], rtol=1e-8)
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("form", [fmbd.Index3(), fmbd.GGL()], ids=lambda form: form.name)
 @pytest.mark.parametrize("name", SCENES)
 def test_runs_are_those_of_numpy(name: str, form: Any) -> None:
@@ -83,7 +82,7 @@ def smooth_step(x: float) -> float:
     return x**3 * (10 - 15 * x + 6 * x * x)
 
 
-@compiled
+@pytest.mark.compiled
 def test_a_line_that_large_steps_press_stays_in_compiled_steps() -> None:
     """The tangent of its own is indefinite there: each such step went to NumPy, at ten times the time."""
     runs = []
@@ -99,7 +98,7 @@ def test_a_line_that_large_steps_press_stays_in_compiled_steps() -> None:
     np.testing.assert_allclose(fast["tip"], slow["tip"], rtol=0, atol=1e-5 * np.ptp(slow["tip"]))
 
 
-@compiled
+@pytest.mark.compiled
 def test_forces_of_a_line_are_asked_for_by_few_calls() -> None:
     """By none where nothing has moved since."""
     system, _, _ = line_and_bob().build()
@@ -111,13 +110,13 @@ def test_forces_of_a_line_are_asked_for_by_few_calls() -> None:
     assert calls_of(lambda: line.forces(0.0)) <= 9
 
 
-@compiled
+@pytest.mark.compiled
 def test_beside_a_field(rod_mesh: Any) -> None:
     """Two frames at rest."""
     compare(partial(beside_a_field, rod_mesh(h=0.1)), fmbd.Index3())
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize(
     ("scheme", "dt"), [(fmbd.Rattle(), 5e-5), (fmbd.EnergyMomentum(), 1e-3)], ids=lambda x: getattr(x, "name", str(x))
 )
@@ -137,7 +136,7 @@ def test_other_schemes_march_beside_lines(scheme: Any, dt: float, monkeypatch: p
         np.testing.assert_allclose(getattr(runs[0].state, name), wanted, atol=1e-8 * np.abs(wanted).max(), err_msg=name)
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("scheme", [fmbd.Radau(rtol=None), fmbd.BDF(2, rtol=None)], ids=lambda x: type(x).__name__)
 @pytest.mark.parametrize(
     "make", [line_and_bob, partial(carrier, 2), partial(carrier, 3)], ids=["line", "own 2D", "own 3D"]
@@ -164,7 +163,7 @@ def test_implicit_schemes_march_beside_parts(make: Any, scheme: Any, monkeypatch
 OWN_EQUATIONS = [(kind, scheme) for kind in ("own coordinates", "own rows") for scheme in (*SCHEMES, *OWN)]
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize(
     ("kind", "scheme"),
     [*OWN_EQUATIONS, *((kind, scheme) for kind in ("own numbers", "own slopes") for scheme in (SCHEMES[0], OWN[0]))],
@@ -198,7 +197,7 @@ def test_rows_of_one_formula_are_of_one_kind() -> None:
     assert len({term.kind for term, _ in found}) == 2
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("scheme", [fmbd.Radau(rtol=1e-5), fmbd.BDF(rtol=1e-5)], ids=lambda x: x.name)
 def test_frames_at_rest_count_in_no_norm(scheme: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Means over them too made errors of one coordinate half as large, and steps longer."""
@@ -213,14 +212,14 @@ def test_frames_at_rest_count_in_no_norm(scheme: Any, monkeypatch: pytest.Monkey
     assert found == pytest.approx(steps(), rel=0.02)
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("dim", [2, 3])
 def test_a_reduced_body_under_loads(dim: int, rod_mesh: Any) -> None:
     """Of such bodies Python is asked for all forces."""
     compare(partial(loaded, rod_mesh(dim=dim, h=0.25, height=0.2)), fmbd.Index3())
 
 
-@compiled
+@pytest.mark.compiled
 def test_what_a_force_raises_names_its_place() -> None:
     """An error of a user's own ends the run as itself."""
 

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 from test_compiled import pair
-from test_driver import compiled
 from test_kernel import agree, floating
 
 import fmbd_fenicsx as fmbd
@@ -16,7 +15,7 @@ from fmbd_fenicsx.errors import ConvergenceError
 from fmbd_fenicsx.materials import plane_stress
 from fmbd_fenicsx.system.compiled.tables.bodies.fields import CondensedColumns, FieldTable
 
-pytestmark = compiled
+pytestmark = pytest.mark.compiled
 SUDDEN = 1.000002, -4.55229e-4  # m, tip of a pressed rod, by 500 equal steps of generalized-alpha
 FRAMES = {"mean axis": fmbd.MeanAxis(), "attached": fmbd.Attached("pin"), "chord": fmbd.Chord("pin", "tip")}
 

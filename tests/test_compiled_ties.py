@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 from test_compiled import pair
-from test_driver import compiled
 from test_field_states import assert_equal_to_numpy
 from test_trace_ties import body, scene_of
 
@@ -16,7 +15,7 @@ from fmbd_fenicsx.materials import saint_venant_kirchhoff
 from fmbd_fenicsx.system.compiled.choice import driver_states
 from fmbd_fenicsx.system.compiled.tables.items.tied import MOST
 
-pytestmark = compiled
+pytestmark = pytest.mark.compiled
 SIDES = [(a, b) for a in ("absolute", "floating") for b in ("ground", "rigid", "absolute", "floating")]
 
 

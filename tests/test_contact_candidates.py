@@ -10,9 +10,8 @@ import pytest
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.schemes.impacts.compiled import driver, spheres
-from fmbd_fenicsx.system.compiled.library import driver_library
 
-pytestmark = pytest.mark.skipif(driver_library(2) is None, reason="no C compiler")
+pytestmark = pytest.mark.compiled
 
 
 def boxes() -> list[Any]:

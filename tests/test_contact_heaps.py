@@ -11,9 +11,8 @@ import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.linear.complementarity.coulomb import PIVOTED
 from fmbd_fenicsx.schemes.impacts.compiled import driver
 from fmbd_fenicsx.schemes.impacts.moreau_stepper import MoreauStepper
-from fmbd_fenicsx.system.compiled.library import driver_library
 
-pytestmark = pytest.mark.skipif(driver_library(3) is None, reason="no C compiler")
+pytestmark = pytest.mark.compiled
 G, R = 9.81, 0.05
 
 

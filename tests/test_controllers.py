@@ -10,7 +10,7 @@ import pytest
 from motion import Motion, first
 from profiled import calls_of
 from scipy.integrate import solve_ivp
-from test_compiled_evaluation import compiled, pair_of
+from test_compiled_evaluation import pair_of
 from test_stage_systems import equations, with_arrays, with_dense_matrices
 
 import fmbd_fenicsx as fmbd
@@ -384,7 +384,7 @@ def reduced_rod(rod_mesh: Any) -> Any:
     return fmbd.FloatingBody("rod", rod_mesh(2, 0.1), density=1000.0, elastic=elastic).reduced(modes=4)
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("where", ["plane", "space", "reduced"])
 def test_stages_see_how_efforts_answer_to_all_that_is_read(where: str, rod_mesh: Any) -> None:
     """Sparse tangents with the slopes of a law, asked for once, beside dense ones by differences of the law."""
@@ -400,7 +400,7 @@ def test_stages_see_how_efforts_answer_to_all_that_is_read(where: str, rod_mesh:
         assert np.abs(getattr(made, name) - exact).max() < 1e-5 * np.abs(exact).max(), name
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("dim", [2, 3])
 def test_complex_matrices_have_what_efforts_answer_to(dim: int, rod_mesh: Any) -> None:
     """As stages of bodies with fields ask for them: motions are those of NumPy, whose efforts do not turn."""
@@ -420,7 +420,7 @@ def test_complex_matrices_have_what_efforts_answer_to(dim: int, rod_mesh: Any) -
     assert found[1] == pytest.approx(found[0], rel=0, abs=1e-6 * np.abs(found[0]).max())
 
 
-@compiled
+@pytest.mark.compiled
 def test_a_law_is_entered_once_for_each_stage_and_each_reading() -> None:
     """Three stages of some two iterations each, and at times the slopes, for two efforts that answer to other bodies."""
     most = {fmbd.Radau(rtol=None): 15, fmbd.BDF(rtol=None): 8, fmbd.EnergyMomentum(): 15, fmbd.Rattle(): 12}
@@ -458,7 +458,7 @@ def braked_chain(count: int, effort: Any, *, controlled: bool) -> fmbd.Scene:
     return scene
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("controlled", [False, True], ids=["laws", "controllers"])
 def test_steep_laws_are_crossed_by_stages(controlled: bool) -> None:
     """Brakes that stick within 1e-6 rad/s, and a motor of 1e6 N m/rad between its limits, 4e-7 rad apart."""

@@ -21,13 +21,10 @@ from fmbd_fenicsx.linear.driver_solver import DriverSolver
 from fmbd_fenicsx.schemes.onestep.alpha.alpha_stepper import AlphaStepper
 from fmbd_fenicsx.schemes.onestep.alpha.compiled_stepper import CompiledAlphaStepper
 from fmbd_fenicsx.system.compiled.choice import driver_states
-from fmbd_fenicsx.system.compiled.library import driver_library
 from fmbd_fenicsx.system.compiled.order import Elimination, Fronts, RowGroup, joint_tree, loop_of
 from fmbd_fenicsx.system.compiled.tables.structures import zeros_of
 from fmbd_fenicsx.system.compiled.tables.tables import Tables
 from fmbd_fenicsx.system.evaluation import Evaluation
-
-compiled = pytest.mark.skipif(driver_library(2) is None, reason="no C compiler")
 
 
 def links(n: int, dim: int) -> fmbd.Scene:
@@ -160,7 +157,7 @@ def net(dim: int) -> fmbd.Scene:
 SCENES = [joint_springs, suspended, loaded, driven, redundant, tyre, bushings, net]
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("dim", [2, 3])
 @pytest.mark.parametrize("make", SCENES, ids=lambda f: f.__name__)
 def test_same_motion_as_numpy(make: Any, dim: int) -> None:
@@ -177,7 +174,7 @@ def test_same_motion_as_numpy(make: Any, dim: int) -> None:
         assert np.abs(fast.state.lam - slow.state.lam).max() < 1e-5 * np.abs(slow.state.lam).max()
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("dim", [2, 3])
 def test_marching_many_steps_is_stepping_often(dim: int) -> None:
     """Ten records or all: the same bits, with the energy guard and without."""
@@ -201,7 +198,7 @@ ELEMENTS = {
 }
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("dim", [2, 3])
 @pytest.mark.parametrize("element", ELEMENTS)
 def test_efforts_by_formulas_with_their_memory(element: str, dim: int) -> None:
@@ -229,7 +226,7 @@ def test_efforts_by_formulas_with_their_memory(element: str, dim: int) -> None:
                 assert np.abs(a.kept() - b.kept()).max() < 1e-9
 
 
-@compiled
+@pytest.mark.compiled
 def test_parts_of_steps_know_the_acceleration_of_the_last_one() -> None:
     """Steps in parts, whose ends are rounded to the grid of whole ones, do not fall back on an older acceleration."""
     ends = []
@@ -242,7 +239,7 @@ def test_parts_of_steps_know_the_acceleration_of_the_last_one() -> None:
     assert np.abs(ends[0].q - ends[1].q).max() < 1e-11
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("make", [loaded, driven, joint_springs, bushings, flexible], ids=lambda f: f.__name__)
 def test_stabilised_form(make: Any) -> None:
     """Both levels closed in compiled steps as in NumPy: the same motion, velocities and multipliers."""
@@ -284,7 +281,7 @@ def rolling_wheel(dim: int) -> fmbd.Scene:
     return scene
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize(("make", "dim"), [(hinged_twice, 2), (hinged_twice, 3), (rolling_wheel, 3)])
 def test_stabilised_form_of_dependent_rows_and_of_rows_on_velocities(make: Any, dim: int) -> None:
     """The same motion and reactions as in NumPy; both levels are closed."""
@@ -305,7 +302,7 @@ def test_stabilised_form_of_dependent_rows_and_of_rows_on_velocities(make: Any, 
     assert max(fast.drift) < 1e-9
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("form", [fmbd.Index3(), fmbd.GGL()], ids=str)
 @pytest.mark.parametrize("tolerance", [1e-6, 1e-10])
 def test_dependent_rows_take_the_increments_that_they_take_in_numpy(form: Any, tolerance: float) -> None:
@@ -325,7 +322,7 @@ def test_dependent_rows_take_the_increments_that_they_take_in_numpy(form: Any, t
     np.testing.assert_allclose(fast.state.lam, slow.state.lam, rtol=0, atol=1e-8 * np.abs(slow.state.lam).max())
 
 
-@compiled
+@pytest.mark.compiled
 def test_counted_angles_over_many_turns_between_records() -> None:
     """Twenty turns a record, with a gear and a sensor."""
     scene = links(1, 3)
@@ -340,7 +337,7 @@ def test_counted_angles_over_many_turns_between_records() -> None:
     assert np.abs(run["turned"][:, 0] - 300.0 * run.times).max() < 1e-6
 
 
-@compiled
+@pytest.mark.compiled
 def test_energies_are_those_of_the_evaluation() -> None:
     for make in (
         lambda: joint_springs(2),
@@ -363,7 +360,7 @@ def test_energies_are_those_of_the_evaluation() -> None:
         assert np.abs(found[0] - wanted).max() < 1e-10 * max(np.abs(wanted).max(), 1e-3)
 
 
-@compiled
+@pytest.mark.compiled
 def test_law_that_raises_is_one_error_with_its_name() -> None:
     scene = suspended(2)
 
@@ -395,7 +392,7 @@ BAD = {
 }
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("path", [True, False], ids=["compiled", "NumPy"])
 @pytest.mark.parametrize("fault", BAD)
 def test_laws_that_cannot_be_used_are_one_error_with_name_and_time(fault: str, path: bool) -> None:
@@ -508,7 +505,7 @@ def sampled(dim: int) -> fmbd.Scene:
     return scene
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("dim", [2, 3])
 def test_sampled_controllers_hold_their_efforts_in_compiled_steps(dim: int) -> None:
     """The same motion and jumps as in NumPy; samples are taken when they are due, and Python is not asked between them."""
@@ -528,7 +525,7 @@ def test_sampled_controllers_hold_their_efforts_in_compiled_steps(dim: int) -> N
     assert len(asked) <= 16  # once more at the start
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("rtol", [None, 1e-4])
 def test_samples_leave_the_tables_of_steps_as_they_are(rtol: float | None, monkeypatch: pytest.MonkeyPatch) -> None:
     """Steps go on behind a sample with the tables that they have: none more for ten samples than for two."""
@@ -547,7 +544,7 @@ def test_samples_leave_the_tables_of_steps_as_they_are(rtol: float | None, monke
     assert counts[0] == counts[1] > 0
 
 
-@compiled
+@pytest.mark.compiled
 def test_first_steps_behind_samples_of_a_field_are_compiled(rod_mesh: Any) -> None:
     """With the driver of the steps before; the same motion as in NumPy."""
 
@@ -568,7 +565,7 @@ def test_first_steps_behind_samples_of_a_field_are_compiled(rod_mesh: Any) -> No
     assert 0 < more <= 50
 
 
-@compiled
+@pytest.mark.compiled
 def test_a_step_goes_on_where_the_driver_refuses_a_matrix(monkeypatch: pytest.MonkeyPatch) -> None:
     """Later increments of a step keep its matrix: where that was the driver's, which makes no second one, NumPy makes it."""
     whole = fmbd.solve(links(4, 2), t_end=0.05, dt=5e-3).state
@@ -610,7 +607,7 @@ def hinged_grid(n: int) -> fmbd.Scene:
     return scene
 
 
-@compiled
+@pytest.mark.compiled
 def test_loops_that_their_neighbours_would_lock_are_eliminated_after_their_bodies() -> None:
     """Two bars in line leave nothing free along them while what they hang on stands: rows wait for all bodies of their loop."""
     fast, slow = pair(lambda: hinged_grid(8), t_end=5e-3, dt=1e-3)
@@ -639,7 +636,7 @@ def test_forces_of_time_act_beside_joints_that_are_there_twice() -> None:
     assert made(2)["end"][-1] == pytest.approx(made(1)["end"][-1], abs=1e-12)
 
 
-@compiled
+@pytest.mark.compiled
 def test_the_place_of_an_entry_takes_no_room_for_all_fronts() -> None:
     """A start asks some times for each body: all fronts at each question would be the square of their number."""
     peaks = []

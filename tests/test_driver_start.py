@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from chains import chain
-from test_driver import compiled, driven, joint_springs, loaded, redundant, suspended, tyre
+from test_driver import driven, joint_springs, loaded, redundant, suspended, tyre
 from test_kernel import flexible
 
 import fmbd_fenicsx as fmbd
@@ -55,7 +55,7 @@ def close(x: Any, y: Any, digits: float = 1e-12) -> None:
     np.testing.assert_allclose(y, x, rtol=0.0, atol=digits * float(np.abs(x).max(initial=1e-300)))
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("dim", [2, 3])
 @pytest.mark.parametrize("make", SCENES, ids=lambda f: f.__name__)
 def test_same_evaluation(make: Any, dim: int) -> None:
@@ -74,7 +74,7 @@ def test_same_evaluation(make: Any, dim: int) -> None:
     close(numpy.balance(a), driver.balance(a))
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("dim", [2, 3])
 @pytest.mark.parametrize("make", [joint_springs, driven, loaded, flexible], ids=lambda f: f.__name__)
 def test_same_solution(make: Any, dim: int) -> None:
@@ -108,7 +108,7 @@ def jointed(dim: int) -> fmbd.Scene:
     return scene
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("dim", [2, 3])
 def test_same_matrix_where_reactions_push_across(dim: int) -> None:
     """All of them, or none, as they push hard or not."""
@@ -132,7 +132,7 @@ def test_same_matrix_where_reactions_push_across(dim: int) -> None:
             close(wanted - none, found - none, 1e-6)
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("dim", [2, 3])
 def test_dependent_rows_are_found_by_numpy_and_solved_by_the_driver(dim: int) -> None:
     states, _, driver = both(redundant(dim))
@@ -157,7 +157,7 @@ def scissors(crosses: int) -> fmbd.Scene:
     return scene
 
 
-@compiled
+@pytest.mark.compiled
 def test_rows_of_tall_lifts_are_near_to_dependent_and_solved_by_the_driver() -> None:
     """Neither factor tells it with certainty; a closer look does, once."""
     states, _, driver = both(scissors(300))
@@ -191,7 +191,7 @@ def at_once(scene: fmbd.Scene, beside: float = 0.0) -> tuple[Any, State]:
     return DriverSolver(states, solver.core).accelerations(start.t, start.q, start.v), wanted
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("dim", [2, 3])
 def test_accelerations_where_rows_depend(dim: int) -> None:
     """The driver's are NumPy's, its multipliers the smallest too."""
@@ -214,7 +214,7 @@ def bennett(turn: float = 1.0, twists: tuple[float, float] = (0.5, 0.9)) -> fmbd
     return scene
 
 
-@compiled
+@pytest.mark.compiled
 def test_accelerations_beside_constraints_that_depend_where_they_hold() -> None:
     """Rows differ by as much as stages and means are beside them: accelerations and multipliers are those on them."""
     (a, lam), _ = at_once(bennett())
@@ -223,7 +223,7 @@ def test_accelerations_beside_constraints_that_depend_where_they_hold() -> None:
     close(lam, found[1], 1e-4)
 
 
-@compiled
+@pytest.mark.compiled
 def test_accelerations_where_rows_contradict_each_other() -> None:
     """Two drives of one hinge whose second derivatives differ are left to NumPy, which knows what to say of them."""
     for turn in (0.0, 1e-6):
@@ -236,7 +236,7 @@ def test_accelerations_where_rows_contradict_each_other() -> None:
         assert (at_once(scene)[0] is None) == (turn > 0)
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("dim", [2, 3])
 def test_rows_on_velocities(dim: int) -> None:
     """They have no g."""
@@ -246,7 +246,7 @@ def test_rows_on_velocities(dim: int) -> None:
     close(numpy.jacobian.times(numpy.v), driver.jacobian.times(numpy.v))
 
 
-@compiled
+@pytest.mark.compiled
 def test_what_a_law_raises_comes_through() -> None:
     """From the start too, with the law's name."""
     scene = joint_springs(2)
@@ -260,7 +260,7 @@ def test_what_a_law_raises_comes_through() -> None:
         fmbd.solve(scene, t_end=0.01, dt=1e-3)
 
 
-@compiled
+@pytest.mark.compiled
 def test_compiled_steps_write_over_the_factor() -> None:
     """A matrix that was factored before a step, in the tables that the step uses, is factored again after it."""
     system, given, _ = joint_springs(2).build()
@@ -281,7 +281,7 @@ def test_compiled_steps_write_over_the_factor() -> None:
     close(first, solved(), 1e-12)
 
 
-@compiled
+@pytest.mark.compiled
 def test_rows_of_long_chains_are_no_nearer_to_dependent() -> None:
     """Eigenvalues of rows with the true inertia have a bound that does not grow with their number: starts of long chains would
     be left to an LU, which fills.
@@ -300,7 +300,7 @@ def test_rows_of_long_chains_are_no_nearer_to_dependent() -> None:
     assert bounds[0] == bounds[1] == bounds[2]
 
 
-@compiled
+@pytest.mark.compiled
 def test_masses_of_many_bodies_are_sparse() -> None:
     """Also where nothing holds them, so that there are no rows: memory grows with their number."""
     scene = fmbd.Scene("free")

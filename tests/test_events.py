@@ -10,7 +10,6 @@ from chains import chain
 from dae_problems import pendulum as point_pendulum
 from dae_problems import pendulum_at
 from scipy.optimize import brentq
-from test_driver import compiled
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError
@@ -256,7 +255,7 @@ OWN = [
 ]
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("times", [None, np.linspace(0.0, 3.0, 77)], ids=["ends", "times"])
 @pytest.mark.parametrize("scheme", OWN, ids=lambda s: s.name)
 def test_many_steps_in_a_call_are_looked_into(scheme: Any, times: Any, monkeypatch: pytest.MonkeyPatch) -> None:

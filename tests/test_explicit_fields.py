@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_driver import compiled
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.materials import linear_elastic, nearly_incompressible, saint_venant_kirchhoff
@@ -57,7 +56,7 @@ CASES = [
 ]
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize(("body", "dim", "scheme"), CASES, ids=lambda x: getattr(x, "name", str(x)))
 def test_steps_are_calls_of_compiled_code(
     rod_mesh: Callable[..., Any], body: str, dim: int, scheme: Any, monkeypatch: pytest.MonkeyPatch
@@ -89,7 +88,7 @@ def test_steps_are_calls_of_compiled_code(
         assert getattr(fast.state, name) == pytest.approx(wanted, rel=0, abs=share * np.abs(wanted).max()), name
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("scheme", CONSTANT, ids=lambda scheme: scheme.name)
 def test_rows_that_depend_on_bodies_whose_weight_is_on_nodes(
     rod_mesh: Callable[..., Any], scheme: Any, monkeypatch: pytest.MonkeyPatch

@@ -17,7 +17,6 @@ import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError
 from fmbd_fenicsx.mechanics.kinds.own import own_term, traced
 from fmbd_fenicsx.schemes.onestep.alpha.compiled_stepper import CompiledAlphaStepper
-from fmbd_fenicsx.system.compiled.library import driver_library
 
 LENGTH = 1.25
 
@@ -278,7 +277,7 @@ def test_rows_rates_and_tangents_are_those_of_differences(name: str, dim: int) -
 
 
 # -- what the package does with it --------------------------------------------------------------------------------------
-@pytest.mark.skipif(driver_library(3) is None, reason="no C compiler")
+@pytest.mark.compiled
 def test_steps_are_compiled_and_kinds_shared() -> None:
     scene = fmbd.Scene("chain", gravity=(0, -9.81, 0))
     before: Any = fmbd.ground

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_driver import compiled
 from test_mixed_momentum import free
 
 import fmbd_fenicsx as fmbd
@@ -21,7 +20,7 @@ from fmbd_fenicsx.system.compiled.tables.bodies.fields import FieldTable
 from fmbd_fenicsx.system.layout import State
 from fmbd_fenicsx.system.system import System
 
-pytestmark = compiled
+pytestmark = pytest.mark.compiled
 
 
 def stepper_of(system: System, state: State) -> Any:

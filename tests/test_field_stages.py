@@ -11,7 +11,6 @@ import pytest
 from dae_problems import march
 from profiled import calls_of
 from test_compiled_parts import beside_a_field
-from test_driver import compiled
 from test_wave_through_tie import tied_bar
 from tolerance_scenes import fe_crank
 
@@ -358,7 +357,7 @@ CASES = [
 CASES += [(floating, 2, fmbd.Radau(5, rtol=None)), (absolute, 2, fmbd.Radau(7, fmbd.Index3(), None))]
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize(
     ("kind", "dim", "scheme"), CASES, ids=lambda x: getattr(x, "name", getattr(x, "__name__", str(x)))
 )
@@ -419,7 +418,7 @@ def under_control(mesh: Any) -> fmbd.Scene:
     return scene
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize(
     ("kind", "dim", "scheme"),
     [
@@ -463,7 +462,7 @@ def test_beside_rods_and_lines(
         assert getattr(fast.state, name) == pytest.approx(wanted, rel=0, abs=share * np.abs(wanted).max()), name
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("skew", [False, True])
 def test_forces_that_python_gives_as_a_whole(
     rod_mesh: Callable[..., Any], skew: bool, monkeypatch: pytest.MonkeyPatch
@@ -491,7 +490,7 @@ def test_forces_that_python_gives_as_a_whole(
         assert getattr(fast.state, name) == pytest.approx(wanted, rel=0, abs=1e-7 * np.abs(wanted).max()), name
 
 
-@compiled
+@pytest.mark.compiled
 def test_complex_directions_and_right_hand_sides_are_two_real_ones(rod_mesh: Callable[..., Any]) -> None:
     """In compiled code in one call, and with few calls of Python."""
     system, start, _ = pendulum(rod_mesh(h=0.5)).build()

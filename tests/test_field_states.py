@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 from profiled import calls_of
-from test_driver import compiled
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.fem.factors import factor
@@ -80,21 +79,21 @@ def swinging(mesh: Any, body: str, load: bool = False) -> fmbd.Scene:
     return scene
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("body", [*FLOATING, *BODIES])
 @pytest.mark.parametrize("dim", [2, 3])
 def test_equal_to_numpy(rod_mesh: Callable[..., Any], dim: int, body: str) -> None:
     assert_equal_to_numpy(swinging(rod_mesh(dim=dim, h=0.5, height=0.2), body))
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("body", ["attached, stiffened", "attached, large strains", "chord"])
 def test_loads_on_bodies_in_frames(rod_mesh: Callable[..., Any], body: str) -> None:
     """They push the frame too; their stress in stiffened bodies, and their work on displacements of second order, is Python's."""
     assert_equal_to_numpy(swinging(rod_mesh(dim=3, h=0.5, height=0.2), body, load=True))
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("dim", [2, 3])
 def test_several_bodies_in_the_world(rod_mesh: Callable[..., Any], dim: int) -> None:
     """Two of them with a load that follows one, joined to each other; and alone, where no frame moves."""
@@ -156,7 +155,7 @@ def assert_equal_to_numpy(scene: fmbd.Scene) -> None:
     assert calls_of(lambda: states.compose(q, xi)) <= 16
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("body", ["mean axes", "small strains", "large strains"])
 @pytest.mark.parametrize("dim", [2, 3])
 def test_equal_to_numpy_with_contact(rod_mesh: Callable[..., Any], dim: int, body: str) -> None:
@@ -180,7 +179,7 @@ def compliance(system: Any, ev: Any, weights: Weights) -> tuple[np.ndarray, bool
     return Compliance(solver, system.contacts).matrix(rows), driver is not None and driver.ready
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("obstacle", ["at rest", "on a body"])
 @pytest.mark.parametrize("body", ["mean axes", "small strains", "large strains", "alone"])
 @pytest.mark.parametrize("dim", [2, 3])
@@ -214,7 +213,7 @@ def test_compliances_of_contact_are_those_of_numpy(
     assert found == pytest.approx(expected, abs=1e-9 * np.abs(expected).max())
 
 
-@compiled
+@pytest.mark.compiled
 def test_multipliers_of_a_free_bodys_frame_are_not_roundoff(rod_mesh: Callable[..., Any]) -> None:
     """No joint gives its columns a compliance: what is left of it was taken for one, and multipliers were divided by roundoff."""
     scene = fmbd.Scene("free")
@@ -235,7 +234,7 @@ def test_multipliers_of_a_free_bodys_frame_are_not_roundoff(rod_mesh: Callable[.
         assert found == pytest.approx(expected, abs=1e-8 * np.abs(expected).max())
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("body", ["mean axes", "attached, pressure", "large strains", "pressure, large strains"])
 def test_corrections_of_many_states_are_those_of_numpy(rod_mesh: Callable[..., Any], body: str) -> None:
     """a and lambda nearer to balance and rows, of states in two metrics: one call for each."""
@@ -270,7 +269,7 @@ def solved(solver: StepSolver, ev: Any, weights: Weights) -> Any:
     return *solver.solve(rng.normal(size=system.n_v), c), solver.closing(np.eye(system.n_lam)[:, rows])
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("body", [*FLOATING, *BODIES])
 @pytest.mark.parametrize("dim", [2, 3])
 def test_solutions_are_those_of_numpy(rod_mesh: Callable[..., Any], dim: int, body: str) -> None:
@@ -296,7 +295,7 @@ def test_solutions_are_those_of_numpy(rod_mesh: Callable[..., Any], dim: int, bo
     assert driven.core.factorisations <= 2 * len(sizes)
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("body", [*FLOATING, *BODIES])
 @pytest.mark.parametrize("dim", [2, 3])
 def test_complex_solutions_are_those_of_numpy(rod_mesh: Callable[..., Any], dim: int, body: str) -> None:
@@ -329,7 +328,7 @@ def test_complex_solutions_are_those_of_numpy(rod_mesh: Callable[..., Any], dim:
         assert other == pytest.approx(one, rel=1e-6, abs=1e-6 * np.abs(one).max())
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("body", ["mean axes", "mean axes, large strains", "large strains", "attached, stiffened"])
 @pytest.mark.parametrize(
     "scheme", [fmbd.Rattle(), fmbd.HalfExplicit(rtol=None), fmbd.BDF(order=2, rtol=None)], ids=lambda s: s.name
@@ -358,7 +357,7 @@ def test_steps_are_solved_in_the_driver(
         assert getattr(fast.state, name) == pytest.approx(one, rel=1e-6, abs=1e-6 * np.abs(one).max()), name
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("scheme", [fmbd.ContactAlpha(0.8), fmbd.ContactMidpoint()], ids=lambda s: s.name)
 @pytest.mark.parametrize("body", ["mean axes", "small strains"])
 def test_steps_with_contact_are_solved_in_the_driver(
@@ -400,7 +399,7 @@ def test_steps_with_contact_are_solved_in_the_driver(
         assert getattr(fast.state, name) == pytest.approx(one, rel=bar, abs=bar * np.abs(one).max()), name
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("body", ["mean axes", "mean axes, large strains", "attached, large strains", "large strains"])
 def test_new_tangents(rod_mesh: Callable[..., Any], body: str) -> None:
     """The columns of a bent body's inertia, and their number where axes are mean ones, change while states are asked for."""
@@ -427,7 +426,7 @@ def test_new_tangents(rod_mesh: Callable[..., Any], body: str) -> None:
         assert one == pytest.approx(other, rel=1e-6, abs=1e-6 * np.abs(other).max())
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("body", ["attached", "attached, pressure", "pressure, large strains"])
 @pytest.mark.parametrize("dim", [2, 3])
 def test_factors_of_fields_are_solved_with_in_c(
@@ -463,7 +462,7 @@ def test_factors_of_fields_are_solved_with_in_c(
         assert here["bob"] == pytest.approx(other["bob"], abs=1e-9)
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("body", ["large strains", "attached, large strains"])
 def test_python_tells_loads_of_large_strains_once_a_time(
     rod_mesh: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, body: str
@@ -487,7 +486,7 @@ def test_python_tells_loads_of_large_strains_once_a_time(
     assert found == pytest.approx(wanted, rel=1e-9, abs=1e-9 * np.abs(wanted).max())
 
 
-@compiled
+@pytest.mark.compiled
 def test_tables_share_the_matrices_of_a_field(rod_mesh: Callable[..., Any]) -> None:
     """Steps and states have tables of their own, with the same M and K."""
     system = swinging(rod_mesh(dim=2), "attached").build()[0]
@@ -496,7 +495,7 @@ def test_tables_share_the_matrices_of_a_field(rod_mesh: Callable[..., Any]) -> N
     assert (one.M, one.K, one.K_column) == (other.M, other.K, other.K_column) and one.z != other.z
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("dim", [2, 3])
 def test_work_of_forces_is_that_of_numpy(rod_mesh: Callable[..., Any], dim: int) -> None:
     """Of springs on bodies and on their surfaces, and of a force of time."""

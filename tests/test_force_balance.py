@@ -22,7 +22,6 @@ from fmbd_fenicsx.schemes.declared import Declared
 from fmbd_fenicsx.schemes.multistep import bdf
 from fmbd_fenicsx.schemes.onestep import radau
 from fmbd_fenicsx.schemes.onestep.alpha import alpha_stepper
-from fmbd_fenicsx.system.compiled.library import driver_library
 
 SCHEMES = {
     "alpha": (alpha_stepper.AlphaStepper, fmbd.GeneralizedAlpha(0.8, compiled=False), 2e-3),
@@ -65,6 +64,7 @@ def test_a_step_without_balance_is_made_again(name: str, spoilt: Any) -> None:
     np.testing.assert_allclose(run["tip"][-1], right["tip"][-1], atol=1e-5)
 
 
+@pytest.mark.compiled
 def test_a_march_whose_end_has_no_balance_takes_its_last_step_back(monkeypatch: pytest.MonkeyPatch) -> None:
     """The record is that of the undisturbed run, made by one more call."""
     stepper, scheme, _ = SCHEMES["Radau"]
@@ -80,8 +80,6 @@ def test_a_march_whose_end_has_no_balance_takes_its_last_step_back(monkeypatch: 
 
     monkeypatch.setattr(stepper, "march", wrong)
     run = fmbd.solve(double_pendulum(1.0, 2.0), **given)
-    if not any(made):
-        pytest.skip("no C compiler")
     assert run.counters["unbalanced_steps"] >= 1
     assert len(run.times) == len(right.times)
     np.testing.assert_allclose(run.times, right.times, rtol=1e-9)
@@ -194,6 +192,7 @@ LOOKS = {
 }
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("scheme", LOOKS, ids=lambda scheme: scheme.name)
 @pytest.mark.parametrize("cut", [*ROOMS, "by the clock", "checkpoints"])
 def test_which_states_are_looked_at_is_a_matter_of_their_number(
@@ -202,8 +201,6 @@ def test_which_states_are_looked_at_is_a_matter_of_their_number(
     """And not of how the run is cut into calls by records, the clock, who looks on, or checkpoints. Steps that Python makes one
     by one are all looked at.
     """
-    if driver_library(2) is None:
-        pytest.skip("no C compiler")
     if cut in ("checkpoints", "at given times") and isinstance(scheme, fmbd.BDF):
         pytest.skip("some of its steps are Python's")
     if cut == "by the clock":  # which goes on at each look by more than half of what a call may last

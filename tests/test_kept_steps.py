@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import test_compiled_contact as contacts
 import tolerance_scenes as scenes
-from test_driver import compiled, joint_springs
+from test_driver import joint_springs
 from test_marches import hanging, redundant, remembering, rod_and_mass
 from test_steps_one_by_one import driven_rod, named
 
@@ -88,7 +88,7 @@ PAIRS = [
 ]
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize(("name", "scheme"), PAIRS)
 def test_instants_of_kept_steps_are_those_of_steps_looked_at_one_by_one(name: str, scheme: Any) -> None:
     """``on_step`` lets each step be a call of its own, from which Python takes its instants."""
@@ -98,7 +98,7 @@ def test_instants_of_kept_steps_are_those_of_steps_looked_at_one_by_one(name: st
     assert np.array_equal(found.state.q, free.state.q)  # and leave the march as it is
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("name", ["plane", "space", "driven", "reduced"])
 @pytest.mark.parametrize("scheme", [*EQUAL, *OWN], ids=lambda s: f"{named(s)} {getattr(s, 'rtol', None)}")
 def test_little_room_for_kept_steps_changes_nothing(name: str, scheme: Any, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -111,7 +111,7 @@ def test_little_room_for_kept_steps_changes_nothing(name: str, scheme: Any, monk
     assert_alike(run(name, scheme), found, 1e-9)
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("name", ["plane", "memory"])
 def test_ends_that_are_told_with_roundoff_are_those_of_kept_steps(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Instants in a step whose end was told 1e-16 s before what it had kept were told by the next step, backwards."""
@@ -124,7 +124,7 @@ def test_ends_that_are_told_with_roundoff_are_those_of_kept_steps(name: str, mon
 CONTACTS = ("bouncing 2", "cam", "stops and friction", "pid", "own shape")
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("name", CONTACTS)
 def test_instants_between_impacts_are_those_of_steps_looked_at_one_by_one(
     name: str, monkeypatch: pytest.MonkeyPatch
@@ -144,7 +144,7 @@ def test_instants_between_impacts_are_those_of_steps_looked_at_one_by_one(
         assert np.array_equal(found.state.q, alone.state.q)
 
 
-@compiled
+@pytest.mark.compiled
 def test_contacts_at_given_times_cost_few_calls() -> None:
     """250 to 400 calls of Python a record when steps that pass one were made by themselves, 27 where NumPy told their gaps."""
     few, many = (np.sort(np.random.default_rng(1).uniform(0.02, 0.4, n)) for n in (200, 1200))
@@ -168,7 +168,7 @@ def calls(made: Callable[[], Any]) -> int:
     return count[0]
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("scheme", [*EQUAL, *OWN], ids=lambda s: f"{named(s)} {getattr(s, 'rtol', None)}")
 def test_records_at_given_times_cost_few_calls(scheme: Any) -> None:
     """400 to 700 calls of Python a record when steps that pass one were made by themselves; the first steps of a run are."""
@@ -178,7 +178,7 @@ def test_records_at_given_times_cost_few_calls(scheme: Any) -> None:
     assert (counted[1] - counted[0]) / 1000 < 30
 
 
-@compiled
+@pytest.mark.compiled
 def test_steps_with_instants_are_made_in_one_call(monkeypatch: pytest.MonkeyPatch) -> None:
     """As many steps a call as without."""
     made: list[int] = []
@@ -188,7 +188,7 @@ def test_steps_with_instants_are_made_in_one_call(monkeypatch: pytest.MonkeyPatc
     assert made == [60]
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("scheme", [fmbd.Rattle(), fmbd.EnergyMomentum(), fmbd.GeneralizedAlpha()], ids=named)
 def test_instants_in_the_step_of_an_event_end_with_it(scheme: Any) -> None:
     """The march ends with that step, whose instants are read before the event and no longer behind it."""

@@ -18,10 +18,9 @@ from fmbd_fenicsx.errors import ConvergenceError
 from fmbd_fenicsx.schemes.onestep.alpha.alpha_stepper import AlphaStepper
 from fmbd_fenicsx.schemes.onestep.alpha.compiled_stepper import CompiledAlphaStepper
 from fmbd_fenicsx.schemes.onestep.alpha.generalized_alpha import GeneralizedAlpha
-from fmbd_fenicsx.system.compiled.library import driver_library
 
 ROOT = Path(__file__).resolve().parents[1]
-pytestmark = pytest.mark.skipif(driver_library(3) is None, reason="no C compiler")
+pytestmark = pytest.mark.compiled
 PLANE = fmbd.Section(EA=1e5, EI=40.0, rhoA=0.5, rhoI=1e-4)
 SPACE = fmbd.Section(EA=1e5, EI=40.0, rhoA=0.5, rhoI=1e-4, GA=1e5, EI_y=50.0, GJ=20.0, rhoI_y=2e-4)
 

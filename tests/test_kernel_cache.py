@@ -13,7 +13,7 @@ import pytest
 from fmbd_fenicsx import kernel_cache
 
 SOURCE = "int value(void) { return %d; }"
-pytestmark = pytest.mark.skipif(kernel_cache.compiler() is None, reason="no C compiler")
+pytestmark = pytest.mark.compiled
 
 
 @pytest.fixture

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from fmbd_fenicsx import kernel_cache
 from fmbd_fenicsx.mechanics.kinds.derivation import KERNELS, Kind, c_source, derive, kinds, numpy_kernel
 from fmbd_fenicsx.mechanics.kinds.expressions import (
     Program,
@@ -150,7 +149,7 @@ def test_a_wrong_sign_is_seen(name: str, dim: int) -> None:
 QUIET = {("angle", 2, "rates")}  # gamma of the angle in the plane is zero
 
 
-@pytest.mark.skipif(kernel_cache.compiler() is None, reason="no C compiler")
+@pytest.mark.compiled
 @BOTH
 def test_c_and_numpy_agree(dim: int) -> None:
     found = kinds(dim)

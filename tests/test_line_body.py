@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from profiled import calls_of
 from scipy.integrate import solve_bvp
-from test_driver import compiled
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError
@@ -175,7 +174,7 @@ def test_the_curve_of_a_line_passes_between_its_nodes() -> None:
         line.curve(np.zeros(5))
 
 
-@compiled
+@pytest.mark.compiled
 def test_a_line_whose_motion_is_held_is_assembled_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """Its forces know no time: loads are looked at in hundreds of instants. With other rates they are others."""
     beam, asked = line(mass_damping=12.0), []

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_driver import compiled, joint_springs, suspended
+from test_driver import joint_springs, suspended
 from test_steps_one_by_one import driven_rod, named
 from tolerance_scenes import swinging_rod
 
@@ -132,7 +132,7 @@ MAKERS = {
 }
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("name", MAKERS)
 @pytest.mark.parametrize("scheme", SCHEMES, ids=named)
 def test_marches_are_steps_made_in_turn(
@@ -155,7 +155,7 @@ def test_marches_are_steps_made_in_turn(
     assert once.newton_accuracy == pytest.approx(turn.newton_accuracy, rel=1e-9)
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("name", ["plane", "space", "law", "driven"])
 def test_marches_of_energy_momentum_foretell_as_python_does(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where an iteration begins and ends: as many increments as steps that Python prepares, and the same states to roundoff."""
@@ -171,7 +171,7 @@ def test_marches_of_energy_momentum_foretell_as_python_does(name: str, monkeypat
         ), x
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("name", MAKERS)
 @pytest.mark.parametrize("scheme", [*IMPLICIT, *OTHER_FORMS], ids=named)
 def test_marches_of_implicit_schemes_are_steps_in_parts(
@@ -262,7 +262,7 @@ OWN_PAIRS = [
 ]
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize(("scheme", "name"), OWN_PAIRS)
 def test_own_steps_that_march_are_those_of_python(
     scheme: Any, name: str, marches: list[int], monkeypatch: pytest.MonkeyPatch
@@ -295,7 +295,7 @@ def test_own_steps_that_march_are_those_of_python(
             assert getattr(found.state, x) == pytest.approx(wanted, rel=1e-7, abs=1e-8 * most), x
 
 
-@compiled
+@pytest.mark.compiled
 def test_explicit_steps_weigh_what_bends_rods_apart(marches: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
     """As implicit ones: the same sizes to roundoff, which stiff forces do not hide as long as errors are large."""
     run = lambda: fmbd.solve(rod_and_mass(), t_end=3e-3, scheme=fmbd.HalfExplicit(rtol=1e-4))  # noqa: E731
@@ -306,7 +306,7 @@ def test_explicit_steps_weigh_what_bends_rods_apart(marches: list[int], monkeypa
     assert once.times == pytest.approx(turn.times, rel=1e-11)
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize(
     ("scheme", "most"),
     [(fmbd.BDF(order=2, rtol=None), 2), (fmbd.Radau(rtol=None), 5), (fmbd.BDF(), 2), (fmbd.Radau(), 6)],
@@ -327,7 +327,7 @@ def test_laws_of_time_are_asked_once_a_point(scheme: Any, most: int) -> None:
     assert ahead < len(asked) < most * steps + ahead + 30
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize(
     "scheme",
     [fmbd.GeneralizedAlpha(0.9), *SCHEMES, fmbd.BDF(), fmbd.Radau(), fmbd.HalfExplicit()],
@@ -361,7 +361,7 @@ def test_functions_of_time_are_asked_once_for_each_time(scheme: Any) -> None:
         assert len(many[name]) - len(few[name]) < 1.15 * times + 10, name
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("scheme", [fmbd.GeneralizedAlpha(0.9), *SCHEMES], ids=lambda s: s.name)
 def test_what_is_set_between_two_steps_acts_at_once(scheme: Any) -> None:
     """The second step begins at the time at which the first one ended, with another force."""
@@ -383,7 +383,7 @@ LOADS = {
 }
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("name", LOADS)
 @pytest.mark.parametrize("scheme", [fmbd.BDF(), fmbd.BDF(rtol=1e-3), fmbd.Radau()], ids=told)
 def test_steps_that_their_error_refuses_stay_in_compiled_code(
@@ -404,7 +404,7 @@ def test_steps_that_their_error_refuses_stay_in_compiled_code(
     assert once.state.q == pytest.approx(turn.state.q, rel=1e-9, abs=scheme.rtol if kinked else 1e-10)
 
 
-@compiled
+@pytest.mark.compiled
 def test_steps_whose_iteration_fails_are_made_smaller_in_compiled_code(marches: list[int]) -> None:
     """Those of a rod that swings were made by NumPy, each in the time of fifty."""
     run = fmbd.solve(swinging_rod(2), t_end=0.6, scheme=fmbd.Radau(5, rtol=1e-4))
@@ -414,7 +414,7 @@ def test_steps_whose_iteration_fails_are_made_smaller_in_compiled_code(marches: 
     assert run["tip"][-1] == pytest.approx(fine["tip"][-1], abs=1e-4)
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("largest", [0.002, 0.02])
 @pytest.mark.parametrize("scheme", [fmbd.BDF(), fmbd.Radau(), fmbd.HalfExplicit()], ids=told)
 def test_a_largest_step_is_kept_within_a_call(
@@ -433,7 +433,7 @@ def test_a_largest_step_is_kept_within_a_call(
     assert calls < 0.1 * turn.counters["steps"]
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("times", [None, np.linspace(0.0, 0.5, 101)], ids=["ends", "instants"])
 def test_calls_go_on_where_steps_have_grown(times: Any, marches: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
     """They ended where as many steps as were counted would have, had none grown: now by number alone, and by the clock."""
@@ -471,7 +471,7 @@ def test_neither_roundoff_nor_half_of_the_largest_step_is_a_step(scheme: Any, sh
     assert run["force"][-1, 1] == pytest.approx(run["force"][-2, 1], rel=1e-2)
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("scheme", [fmbd.Radau(3, rtol=1e-6), fmbd.BDF(rtol=1e-6), fmbd.HalfExplicit(1e-6)], ids=told)
 def test_a_call_behind_a_load_that_came_knows_where_the_next_step_has_to_end(scheme: Any) -> None:
     """It took each largest step for a way to the end: 345 steps of the half-explicit method, one by one 302."""
@@ -487,7 +487,7 @@ def test_a_call_behind_a_load_that_came_knows_where_the_next_step_has_to_end(sch
     assert runs[0].times == pytest.approx(runs[1].times, rel=1e-6)
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("scheme", [fmbd.BDF(), fmbd.Radau(), fmbd.HalfExplicit(), fmbd.ExplicitRungeKutta()], ids=told)
 def test_marks_are_hit_on_the_way_of_a_call(scheme: Any, marches: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
     """Steps end at each, as those of Python do, and a call goes on past them."""
@@ -528,7 +528,7 @@ GIVEN = {
 }
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("name", GIVEN)
 def test_rows_given_in_time_are_judged_at_the_time_of_the_state(
     name: str, marches: list[int], monkeypatch: pytest.MonkeyPatch
@@ -545,7 +545,7 @@ def test_rows_given_in_time_are_judged_at_the_time_of_the_state(
     assert once.warnings == turn.warnings == []
 
 
-@compiled
+@pytest.mark.compiled
 def test_large_turns_are_warned_of_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """At the step that turns a body so far, in the middle of a march."""
 
@@ -561,7 +561,7 @@ def test_large_turns_are_warned_of_once(monkeypatch: pytest.MonkeyPatch) -> None
     assert once == turn and sum("rad a step" in x for x in once) == 1
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("scheme", SCHEMES, ids=named)
 def test_records_on_the_way_are_those_of_states(scheme: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     def run() -> fmbd.Run:
@@ -595,7 +595,7 @@ def raising(s: float, rate: float, t: float) -> float:
     return -1.0
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("law", [breaking, raising], ids=lambda x: x.__name__)
 @pytest.mark.parametrize("scheme", SCHEMES, ids=named)
 def test_failures_are_told_in_the_same_words(scheme: Any, law: Any, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -607,7 +607,7 @@ def test_failures_are_told_in_the_same_words(scheme: Any, law: Any, monkeypatch:
     assert once == turn
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("scheme", SCHEMES, ids=named)
 def test_a_state_that_is_refused_on_the_way_is_refused_in_turn(scheme: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Joints that are allowed to be open by nothing at all, and no energy: the same words, or the same parts of steps."""
@@ -636,7 +636,7 @@ def test_a_state_that_is_refused_on_the_way_is_refused_in_turn(scheme: Any, monk
     assert words[0] == words[1] and "is open by" in words[0]
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("scheme", SCHEMES, ids=named)
 def test_an_event_ends_a_march(scheme: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     def run() -> fmbd.Run:
@@ -659,7 +659,7 @@ class Swaying:
         return [row - 1e-6 * np.atleast_1d(ev.t)[:, None] ** 2 for row in super().rows(ev, a)]  # type: ignore[misc]
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("scheme", [fmbd.Radau, fmbd.BDF])
 def test_a_form_of_ones_own_is_that_of_compiled_steps_too(scheme: Any) -> None:
     """Compiled code knew the levels of a form alone, and left its rows out in silence."""

@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from test_compiled_evaluation import compiled
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import CallbackError, ConvergenceError
@@ -150,7 +149,7 @@ def limited(t: float, s: float, v: float, z: Array) -> tuple[float, Any]:
     return u, (1 - s - 0.5 * (free - u),)
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("driven", [True, False])
 @pytest.mark.parametrize("name", ["limited", "limited pid"])
 def test_error_control_of_one_step_methods_sees_memories(
@@ -232,7 +231,7 @@ def test_a_memory_without_a_value_is_an_error() -> None:
         euler_step(lambda z: 1.0 + z**2, 1.0, 2.0)
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("driven", [True, False])
 @pytest.mark.parametrize("scheme", [fmbd.Radau(rtol=1e-6), fmbd.BDF(rtol=1e-6)], ids=["radau", "bdf"])
 def test_an_error_that_is_no_number_passes_no_step(scheme: Any, driven: bool, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -244,7 +243,7 @@ def test_an_error_that_is_no_number_passes_no_step(scheme: Any, driven: bool, mo
         fmbd.solve(wheel("filtered"), t_end=0.1, scheme=scheme)
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("scheme", [fmbd.Radau(rtol=1e-6), fmbd.BDF(rtol=None)], ids=["radau", "bdf"])
 @pytest.mark.parametrize("name", ["filtered", "pid"])
 def test_steps_in_numpy_find_the_same(name: str, scheme: Any, monkeypatch: pytest.MonkeyPatch) -> None:

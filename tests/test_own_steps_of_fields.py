@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 from profiled import calls_of
-from test_driver import compiled
 from test_field_stages import absolute, floating
 from tolerance_scenes import fe_crank
 
@@ -46,7 +45,7 @@ OWN = (
 )
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("scheme", OWN, ids=lambda scheme: scheme.name)
 @pytest.mark.parametrize(("kind", "dim"), [(floating, 2), (floating, 3), (absolute, 2)])
 def test_steps_of_a_size_of_their_own_are_calls_of_compiled_code(
@@ -87,7 +86,7 @@ def test_steps_of_a_size_of_their_own_are_calls_of_compiled_code(
         assert (t, error) == pytest.approx(told, rel=1e-3)
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize(
     ("kind", "dim", "scheme"),
     [
@@ -122,7 +121,7 @@ def test_own_steps_of_bdf_are_calls_of_compiled_code(
         assert getattr(fast.state, name) == pytest.approx(wanted, rel=0, abs=allowed * np.abs(wanted).max()), name
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize(
     ("scheme", "hinges", "most"),
     [(fmbd.Radau(3, rtol=1e-7), 1, 40), (fmbd.Radau(3, rtol=1e-7), 2, 40), (fmbd.BDF(rtol=1e-6), 1, 5)],
@@ -143,7 +142,7 @@ def test_steps_of_a_size_of_their_own_enter_python_for_factors(
     assert many - few < most * (long - short)
 
 
-@compiled
+@pytest.mark.compiled
 def test_constraints_are_linearised_in_python_for_new_factors_only(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of a driven crank, whose loads are looked at in 51 instants before the first step: compiled code evaluates these."""
     scene, made = fe_crank(), []
@@ -160,7 +159,7 @@ def test_constraints_are_linearised_in_python_for_new_factors_only(monkeypatch: 
     assert len(made) <= run.counters["factorisations"] + 4
 
 
-@compiled
+@pytest.mark.compiled
 def test_instants_within_steps_of_several_sizes_bend_no_body(monkeypatch: pytest.MonkeyPatch) -> None:
     """One call makes steps of many sizes: within each, joints are closed by its own matrix. By that of the last, a small one,
     a rod has dents of 6e-5 m.

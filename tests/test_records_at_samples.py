@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 from chains import chain
-from test_driver import compiled
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.system.compiled.states.stage_patterns import StageStructure
@@ -74,7 +73,7 @@ def test_records_at_a_sample_show_what_is_behind_it(
         assert all(np.abs(x).max() < 0.25 * jump for x in shown.values()), (name, shown)
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("every", [1, 3])
 @pytest.mark.parametrize("scheme", [x for x in SCHEMES if getattr(x, "rtol", None) is None], ids=lambda s: s.name)
 def test_samples_behind_steps_of_one_call_are_those_behind_steps_made_alone(scheme: Any, every: int) -> None:
@@ -132,7 +131,7 @@ def test_ends_of_steps_are_not_recorded_where_samples_jump() -> None:
     assert run.at_steps is None and run.error_estimate
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("scheme", [fmbd.Radau(3, rtol=None), fmbd.BDF(2, rtol=None)], ids=lambda s: s.name)
 def test_steps_behind_a_sample_begin_with_the_room_that_is_there(scheme: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Patterns of their equations and room for their stages are made as often for five samples as for two."""

@@ -10,7 +10,6 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 from combinations import BODIES
 from scipy.integrate import solve_ivp
-from test_compiled_evaluation import compiled
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.linear import redundancy
@@ -91,7 +90,7 @@ def gate(tilt: float) -> fmbd.Scene:
     return scene
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("increments", ["NumPy", "compiled"])
 @pytest.mark.parametrize("scheme", [fmbd.Radau(2), fmbd.BDF()], ids=lambda x: x.name)
 def test_hinges_that_are_not_quite_in_line_take_no_more_steps(scheme: Any, increments: str, monkeypatch: Any) -> None:
@@ -141,7 +140,7 @@ def test_smallest_forces_of_a_compliance_leave_out_what_rows_contradict_each_oth
     assert redundancy.least_forces(S, b) == pytest.approx(fit, abs=1e-3 * np.abs(fit).max())
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize(
     "scheme",
     [fmbd.Radau(3), fmbd.Radau(2, fmbd.Index2()), fmbd.BDF(rtol=1e-5), fmbd.BDF(form=fmbd.Index3())],
@@ -174,7 +173,7 @@ def null_space(ev: Any) -> np.ndarray:
     return sl.null_space((system.multiplier_units[:, None] * np.concatenate(rows, axis=1)).T, rcond=1e-9)
 
 
-@pytest.mark.parametrize("driven", [False, pytest.param(True, marks=compiled)], ids=["NumPy", "driver"])
+@pytest.mark.parametrize("driven", [False, pytest.param(True, marks=pytest.mark.compiled)], ids=["NumPy", "driver"])
 def test_a_stress_between_the_hinges_is_taken_away_and_nothing_else(driven: bool, monkeypatch: Any) -> None:
     """The forces on the bodies stay; what is left is orthogonal to every state of stress."""
     system, state, _ = door(1.0).build()
@@ -210,7 +209,7 @@ def unbalanced(length: float) -> fmbd.Scene:
     return scene
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("length", [1.0, 1e-6, 1e-9])
 def test_moments_without_forces_are_borne_in_any_unit(length: float, monkeypatch: Any) -> None:
     """w x J w of the rotor is what both hinges give together; forces that are roundoff beside it do not send steps to NumPy."""
@@ -313,7 +312,7 @@ def riveted(body: str) -> fmbd.Scene:
     return scene
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize(
     ("scheme", "dt", "make", "body"),
     [
@@ -374,7 +373,7 @@ def tower(loops: int) -> fmbd.Scene:
     return scene
 
 
-@compiled
+@pytest.mark.compiled
 def test_a_tower_of_loops_hangs_on_compiled_steps() -> None:
     """What all of it hangs on is closed by hardly more than rows that depend are: two increments, and one that finds no more."""
     loops = 27
@@ -398,7 +397,7 @@ def pushed_tower(loops: int, force: float, t: float) -> float:
     return float(modes[-1] ** 2 @ ((1 - np.cos(np.sqrt(squares) * t)) / squares)) * force
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("scheme", [fmbd.Radau(3, rtol=None), fmbd.BDF(2, rtol=None)], ids=lambda x: x.name)
 def test_stages_of_a_tower_are_closed_whatever_its_height(scheme: Any) -> None:
     """Multipliers of places and of velocities close what all hangs on together: in as many increments as two loops take."""
@@ -415,7 +414,7 @@ def test_stages_of_a_tower_are_closed_whatever_its_height(scheme: Any) -> None:
     assert increments[1] == increments[0]
 
 
-@compiled
+@pytest.mark.compiled
 def test_runs_of_tall_towers_begin_and_end_without_dense_matrices(monkeypatch: Any) -> None:
     """Rows that depend are known by a sparse factor, and whose reactions are not unique by the smallest multipliers of some."""
     for where, name in ((np.linalg, "svd"), (CoreSolver, "factor"), (redundancy, "smallest")):
@@ -439,7 +438,7 @@ def test_smallest_multipliers_are_those_of_dense_matrices(loops: int) -> None:
     assert np.abs(dense(ev.jacobian.core).T @ (found - lam).T).max() < 1e-11
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("loops", [5, 60])
 def test_smallest_multipliers_of_a_tower_are_found_by_the_driver(loops: int) -> None:
     """Forces on the bodies stay, to more digits than are asked for, by what further solutions close of few loops."""
@@ -456,7 +455,7 @@ def test_smallest_multipliers_of_a_tower_are_found_by_the_driver(loops: int) -> 
     np.testing.assert_allclose(G.T @ found[0], G.T @ lam, rtol=0, atol=1e-9 * np.abs(G.T @ lam).max())
 
 
-@compiled
+@pytest.mark.compiled
 def test_rows_that_hold_a_light_body_together_move_heavy_ones() -> None:
     """Three cranks of 1 kg and a coupler of 1e-9: its pins move by 1e9 of what combinations of them move, the cranks alone."""
     scene, angle = fmbd.Scene("cranks", gravity=(0.0, 0.0)), 0.3
@@ -477,7 +476,7 @@ def test_rows_that_hold_a_light_body_together_move_heavy_ones() -> None:
     assert not run.counters["halved_steps"] and run.counters["newton_iterations"] < 100  # no end, or 240 at 1e-8 kg
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("scheme", [fmbd.Radau(), fmbd.BDF()], ids=["Radau", "BDF"])
 def test_a_light_door_on_a_heavy_frame_whose_hinges_are_nearly_in_line(scheme: Any) -> None:
     """Out of line by 3e-8 rad, which counts as none: reactions were 35 % off, or steps had no end."""
@@ -499,7 +498,7 @@ def test_a_light_door_on_a_heavy_frame_whose_hinges_are_nearly_in_line(scheme: A
     assert reactions[1] == pytest.approx(reactions[0], rel=1e-5)
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("stages", [2, 3])
 def test_a_heavy_leaf_hangs_on_two_hinges_of_a_light_post(stages: int) -> None:
     """All rows hold the post of 1e-8 kg, and by 1e8 less the leaf of 1 kg: steps had no end, or 2 421 increments."""

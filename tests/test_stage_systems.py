@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from chains import chain
 from profiled import calls_of
-from test_compiled_evaluation import MAKERS, compiled, pair_of
+from test_compiled_evaluation import MAKERS, pair_of
 from test_redundancy import null_space
 
 import fmbd_fenicsx as fmbd
@@ -122,7 +122,7 @@ def smallest(eq: StepEquations, state: State, mult: np.ndarray) -> np.ndarray:
     return (u * (levels - levels @ N @ N.T)).reshape(mult.shape)
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("form", FORMS, ids=lambda form: form.name)
 @pytest.mark.parametrize("name", SCENES)
 def test_tangents_and_solutions_are_those_of_dense_matrices(name: str, form: Any) -> None:
@@ -178,7 +178,7 @@ def test_dense_tangents_have_slopes_of_laws_beside_their_corners(place: float, s
     assert eq.refresh(state, mult).by_q[0, 0] == pytest.approx(stiffness, rel=1e-6, abs=1.0)
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("form", FORMS, ids=lambda form: form.name)
 @pytest.mark.parametrize("name", SCENES)
 def test_stages_with_the_same_tangent_each_are_those_with_one(name: str, form: Any) -> None:
@@ -199,7 +199,7 @@ def test_stages_with_the_same_tangent_each_are_those_with_one(name: str, form: A
         assert x == pytest.approx(y, rel=1e-6, abs=share * np.abs(y).max(initial=1e-300))
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("name", ["plane", "reduced 3D", "rod"])
 def test_a_matrix_of_stages_with_a_tangent_each_takes_few_calls(name: str) -> None:
     """Where its entries are is found once: with matrices of SciPy each took 4 000 calls of Python."""
@@ -214,7 +214,7 @@ def test_a_matrix_of_stages_with_a_tangent_each_takes_few_calls(name: str) -> No
     assert calls_of(solved) < 300
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("name", ["plane", "reduced 3D", "rod"])
 def test_rows_are_exchanged_where_pivots_are_small(name: str) -> None:
     """Derivatives of any numbers, half of them none, and no masses."""
@@ -236,7 +236,7 @@ def test_rows_are_exchanged_where_pivots_are_small(name: str) -> None:
         eq.tangents.pencil(nothing, s, JUDGE, redundant=False)
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("rates", [*radau.RATES.values(), bdf.RATES], ids=["Radau", "Radau, constant", "BDF"])
 @pytest.mark.parametrize("adaptive", [True, False])
 def test_iterations_end_where_python_says(rates: Rates, adaptive: bool) -> None:
@@ -263,7 +263,7 @@ def test_iterations_end_where_python_says(rates: Rates, adaptive: bool) -> None:
     assert outcomes == {CONVERGED, DIVERGED, TOO_SLOW}
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("coupled", [False, True])
 def test_work_grows_with_the_length_of_a_chain(coupled: bool) -> None:
     """As many directions of differences for any length, and entries of matrices and factors in proportion to it, with a row that

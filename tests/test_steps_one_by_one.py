@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from profiled import calls_of
 from test_compiled_evaluation import MAKERS, pair_of
-from test_driver import compiled, joint_springs, suspended
+from test_driver import joint_springs, suspended
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError
@@ -49,7 +49,7 @@ def named(scheme: Any) -> str:
     return type(scheme).__name__
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("name", MAKERS)
 def test_a_glance_tells_what_evaluations_do(name: str) -> None:
     plain, driven, (t, q, v, a, lam) = pair_of(MAKERS[name])
@@ -70,7 +70,7 @@ def test_a_glance_tells_what_evaluations_do(name: str) -> None:
             assert glance.energies == pytest.approx(list(ev.energies().values()), rel=1e-11, abs=1e-12)
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("wrong", ["places", "velocities", "accelerations", "multipliers", "energy"])
 def test_judges_refuse_by_a_glance_what_they_refuse_by_evaluations(wrong: str) -> None:
     """With the same words; the state of the start passes without one."""
@@ -104,7 +104,7 @@ def test_judges_refuse_by_a_glance_what_they_refuse_by_evaluations(wrong: str) -
     assert said[0] == said[1]
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("scheme", SCHEMES, ids=named)
 def test_the_run_enters_few_functions_a_step(scheme: Any) -> None:
     """Its loop, judges and records, between two records; differences of two lengths, so that the start cancels."""
@@ -116,7 +116,7 @@ def test_the_run_enters_few_functions_a_step(scheme: Any) -> None:
     assert calls[1] - calls[0] <= 30 * (1 if marches else 14)
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("make", [joint_springs, suspended, driven_rod], ids=lambda make: make.__name__)
 @pytest.mark.parametrize("scheme", SCHEMES[:3], ids=named)
 def test_a_step_in_one_call_is_that_in_parts(scheme: Any, make: Any, monkeypatch: pytest.MonkeyPatch) -> None:

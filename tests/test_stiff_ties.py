@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from profiled import calls_of
 from test_checkpoint import at_every_step
-from test_driver import compiled
 from test_foretold_efforts import ANGLE, DIRECTION, END, G, chain, error
 
 import fmbd_fenicsx as fmbd
@@ -107,7 +106,7 @@ def test_beside_a_joint(masses: tuple[float, float], scheme: Any) -> None:
     assert steps[1] <= 3.0 * steps[0]
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("rtol", [None, 1e-5])
 @pytest.mark.parametrize("scheme", [fmbd.Radau, fmbd.BDF])
 def test_python_makes_no_steps(scheme: Any, rtol: float | None) -> None:

@@ -59,9 +59,8 @@ def test_a_spring_on_a_sum_swings_as_it_should(scheme: Any) -> None:
     assert fine < max(2 ** -(scheme.order - 0.1) * coarse, 1e-5 if own_steps else 1e-9) < 1e-2
 
 
+@pytest.mark.compiled
 def test_a_sum_costs_a_step_no_python() -> None:
-    if kernel_cache.compiler() is None:
-        pytest.skip("no C compiler")
     output = fmbd.Output(every=10**6, energy=False, progress=False)
 
     def run(scheme: Any, steps: int) -> int:
@@ -226,7 +225,7 @@ def test_sums_that_mean_nothing_are_refused() -> None:
         fmbd.solve(other, t_end=0.1, dt=0.1)
 
 
-@pytest.mark.skipif(kernel_cache.compiler() is None, reason="no C compiler")
+@pytest.mark.compiled
 @pytest.mark.parametrize("dim", [2, 3])
 def test_efforts_on_a_sum_are_stiff_across_as_those_on_its_terms(dim: int) -> None:
     """The driver's matrix with an effort on a sum, and with efforts on each of its terms."""

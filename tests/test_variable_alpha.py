@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from dae_problems import pendulum as point_pendulum
 from dae_problems import pendulum_at, spinning_top, state_errors
-from test_driver import compiled, joint_springs
+from test_driver import joint_springs
 from test_field_stages import pendulum
 
 import fmbd_fenicsx as fmbd
@@ -395,7 +395,7 @@ def test_a_push_is_seen_while_many_small_steps_are_looked_at_together() -> None:
     assert run.counters["rejected: a load within the step"] > 0
 
 
-@compiled
+@pytest.mark.compiled
 def test_a_largest_step_is_kept_within_a_call(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where all steps are as large as they may be and nothing comes, many are made in a call: those that a look at each makes."""
     calls, controlled = [], CompiledAlphaStepper.controlled

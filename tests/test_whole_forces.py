@@ -19,9 +19,7 @@ from fmbd_fenicsx.mechanics.forces.own_loads import OwnLoads
 from fmbd_fenicsx.rotations import Array
 from fmbd_fenicsx.schemes.stepping import UNOBSERVED
 from fmbd_fenicsx.system.compiled.choice import driver_states
-from fmbd_fenicsx.system.compiled.library import driver_library
 
-compiled = pytest.mark.skipif(driver_library(2) is None, reason="no C compiler")
 STEPS = 100
 
 
@@ -70,7 +68,7 @@ def marched(scene: fmbd.Scene) -> tuple[Any, Any]:
     return c, stepper
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("dim", [2, 3])
 def test_laws_are_called_once_an_evaluation_and_slopes_are_kept(dim: int) -> None:
     law = Counted(dragging)
@@ -83,7 +81,7 @@ def test_laws_are_called_once_an_evaluation_and_slopes_are_kept(dim: int) -> Non
     assert 4 * c.evaluations <= law.calls <= 2.5 * 4 * c.evaluations
 
 
-@compiled
+@pytest.mark.compiled
 def test_slopes_are_new_where_a_law_sets_in() -> None:
     """Free, in contact, free again: as many iterations as a law of one slope needs, and the motion of the NumPy path."""
     for stiffness in (1e4, 1e7):
@@ -112,7 +110,7 @@ def on_tip(body: str, stiffness: float, skew: float) -> fmbd.Scene:
     return scene
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("body", ["floating", "absolute"])
 @pytest.mark.parametrize("stiffness, skew", [(1e3, 0.0), (1e6, 0.0), (1e4, 1e4), (0.0, 1e6)])
 def test_laws_on_surfaces_of_fields_are_compiled(body: str, stiffness: float, skew: float) -> None:
@@ -123,7 +121,7 @@ def test_laws_on_surfaces_of_fields_are_compiled(body: str, stiffness: float, sk
     assert np.abs(fast.state.q - slow.state.q).max() < 1e-9
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("dim", [2, 3])
 def test_a_run_that_is_taken_up_goes_on_with_the_same_slopes(dim: int, tmp_path: Path) -> None:
     """Between records, after a checkpoint and step by step: the same bits."""
@@ -133,7 +131,7 @@ def test_a_run_that_is_taken_up_goes_on_with_the_same_slopes(dim: int, tmp_path:
     assert np.array_equal(whole.state.q, rare.state.q) and np.array_equal(whole.state.a, rare.state.a)
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("make", [joint_springs, bushings, links], ids=["springs", "bushings", "links"])
 def test_steps_without_laws_ask_python_nothing_and_allocate_nothing(make: Any) -> None:
     scene = make(4, 2) if make is links else make(2)
@@ -173,7 +171,7 @@ def _peak(stepper: Any, steps: int) -> int:
     return tracemalloc.get_traced_memory()[1] - before
 
 
-@compiled
+@pytest.mark.compiled
 @pytest.mark.parametrize("dim", [2, 3])
 @pytest.mark.parametrize("held", [True, False], ids=["to the ground", "between two bodies"])
 def test_tangent_of_bushings_is_the_derivative_of_their_forces(dim: int, *, held: bool) -> None:
@@ -309,7 +307,7 @@ def rubbing(t: float, a: Any) -> Any:
     return force, np.cross(arm, force)
 
 
-@compiled
+@pytest.mark.compiled
 def test_slopes_of_a_law_that_writes_formulas_are_exact() -> None:
     """One call of it for a tangent, as many iterations as by differences; its kind of cases is called for each component."""
     steps = {}

@@ -228,7 +228,7 @@ static int mean_residual(System *s, Step *o, const double *a, const double *lam,
 EXPORT int driver_mean(System *s, double t, double h, double length, const double *q0, const double *v0, const double *a,
                        const double *lam, double *core, double *gap, double *room)
 {
-    Step o = {t, h, length, q0, v0};
+    Step o = {.t = t, .h = h, .length = length, .q0 = q0, .v0 = v0};
     s->span = h;
     int verdict = mean_begin(s, &o, &room);
     if (verdict || (verdict = mean_residual(s, &o, a, lam, gap))) return verdict;
@@ -315,7 +315,7 @@ static int mean_arrive(System *s, Step *o, const double *a, double *q, double *v
 EXPORT int driver_mean_step(System *s, int most, int old, double t, double h, double length, const double *e, const double *q0,
                             const double *v0, double *a, double *lam, double *sizes, long *done, double *q, double *v, double *room)
 {
-    Step o = {t, h, length, q0, v0};
+    Step o = {.t = t, .h = h, .length = length, .q0 = q0, .v0 = v0};
     double rate = 0.0;
     s->span = h;
     int verdict = mean_begin(s, &o, &room), anew = 1, taken = 0, since = 0, slow = 1, turned, over, hesitations = 0;
