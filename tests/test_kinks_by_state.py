@@ -112,3 +112,16 @@ def test_contacts_shorter_than_the_steps_of_the_attempt_before_are_told_by_half_
     print(run.certificate["pin"].total / true, true, run.counters["steps"])
     assert run.history[-1].then == "done" and true < 90.0
     assert run.certificate["pin"].total > 0.5 * true
+
+
+@pytest.mark.parametrize("compiled", [True, False], ids=["compiled", "NumPy"])
+def test_steps_without_forces_at_both_ends_are_judged(compiled: bool) -> None:
+    """A body flies against a bump and back: what velocities miss behind it was divided by accelerations of zero."""
+    scene = fmbd.Scene("bump")
+    body = fmbd.RigidBody("body", 1.0, 1.0, velocity=(1.0, 0.0))
+    rail = fmbd.prismatic("rail", fmbd.ground, body, axis=(1, 0))
+    scene.add(body, rail)
+    scene.add(fmbd.joint_spring("bump", fmbd.displacement(rail), law=lambda x, v, t: 1e4 * np.maximum(x - 0.3, 0.0)))
+    scene.sensor("x", fmbd.position(body))
+    run = fmbd.solve(scene, t_end=1.0, scheme=fmbd.GeneralizedAlpha(rtol=1e-3, compiled=compiled))
+    assert run["x"][-1, 0] == pytest.approx(0.3 - (0.7 - np.pi / 100), abs=1e-3)

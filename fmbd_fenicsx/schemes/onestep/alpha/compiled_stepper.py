@@ -126,7 +126,8 @@ class CompiledAlphaStepper(CompiledSteps, AlphaStepper):
         if not self._driven:
             return super().filtered(h, missed, s)
         system, driver = self.system, self.driver
-        part = system.max_abs(missed) / (FAR_JUMP * max(system.typical(x.a) for x in (self.state, self.origin)))
+        jump = FAR_JUMP * max(system.typical(x.a) for x in (self.state, self.origin))
+        part = system.max_abs(missed) / jump if jump else 1.0
         driver.tables.recall()
         arrays = s.q, s.v, s.a + missed / part, s.lam
         found = driver.error((part, 0.0), arrays, s.t, missed, self.scheme.rule(h).weights)

@@ -111,8 +111,9 @@ static int with_speeds(System *s, const double *p, Control *c, const Block *past
         double led = past[0].a[i] + h / before * (past[0].a[i] - past[1].a[i]);
         c->missed_speed[i] = scale * (out->a[i] - led);
     }
-    /* the balance is linear in accelerations: a jump that is large beside what Newton's iteration leaves of them */
-    const double jump = FAR_JUMP * fmax(typical(s, past->a), typical(s, out->a)), part = largest_of(s->units, c->missed_speed, s->nv) / jump;
+    /* the balance is linear in accelerations: a jump that is large beside what Newton's iteration leaves of them, or any beside none */
+    const double jump = FAR_JUMP * fmax(typical(s, past->a), typical(s, out->a)), missed = largest_of(s->units, c->missed_speed, s->nv);
+    const double part = jump > 0.0 ? missed / jump : 1.0;
     double found = *error;
     if (error_norm(s, c, out->q, c->missed_speed, h) <= fmax(found, c->calm)) return DONE; /* less is what Newton's iteration leaves */
 
