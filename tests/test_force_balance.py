@@ -15,6 +15,7 @@ from test_acceptance import double_pendulum
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError
+from fmbd_fenicsx.linear.blocks.field_blocks import Weights
 from fmbd_fenicsx.linear.condensation import StepSolver
 from fmbd_fenicsx.run import compiled_calls
 from fmbd_fenicsx.run.judges.force_balance import Balanced, next_look
@@ -239,3 +240,20 @@ def test_a_link_of_hardly_any_mass_along_its_force() -> None:
     R = np.array([[1.0, -1.0], [1.0, 1.0]]) / np.sqrt(2.0)
     assert np.abs(level["x"] @ R.T - turned["x"]).max() < 1e-9
     assert level.counters["halved_steps"] == 0
+
+
+def test_a_frame_is_held_by_its_elastic_field(rod_mesh: Any) -> None:
+    """A rod in mean axes, clamped at an end, at rest under a load of 6 000 times its weight: small errors of reactions move its
+    frame nowhere.
+    """
+    load = fmbd.traction("tip", (-5e8, -1e7))
+    law = fmbd.materials.plane_strain(2.1e11, 0.3)
+    rod = fmbd.FloatingBody("rod", rod_mesh(h=0.1), degree=1, density=7800.0, elastic=law, loads=[load])
+    scene = fmbd.Scene("clamped", gravity=(0.0, -9.81), settle=True)
+    scene.add(rod, fmbd.fixed("clamp", fmbd.ground, rod.surface("pin")))
+    judge, ev, state = judged(scene)
+    judge.solver.prepare(ev, Weights(1.0, 1e-2, 1e-4))
+
+    judge.check(ev, replace(state, lam=(1 + 1e-5) * state.lam), 1e-2)
+    with pytest.raises(ConvergenceError, match='"rod"'):
+        judge.check(ev, replace(state, lam=(1 + 1e-3) * state.lam), 1e-2)

@@ -19,7 +19,8 @@ What joints take up of r moves no body: it is an error of their reactions. A sta
 
 leaves an h r - G^T mu that passes (2), and G^T mu is less than 100 times Newton's tolerance, or 1e-8, of the forces that joints
 and elements exert on a body. The roll of a thin rod between two hinges has hardly any inertia: what large reactions do to its
-balance as the rod turns by less than Newton's tolerance is many times S a_max, although its hinges let it go nowhere.
+balance as the rod turns by less than Newton's tolerance is many times S a_max, although its hinges let it go nowhere. A frame
+whose elastic field is held goes nowhere either: d of (3) is that of the whole system, by the matrix of the step.
 
 Rows are those of the core: rigid bodies, frames of elastic ones (all forces on the body as a whole), modes, coordinates of a
 user's own. Nodes of fields are judged by the linear solves and by the first strides of Newton's iteration. Schemes that hold the
@@ -142,9 +143,20 @@ class Balanced(Remembering):
         if sizes.max() <= allowed:
             return sizes
 
-        held = _held(ev, A, left)
+        held = self._by_fields(left, weight) if s.fields else None
+        held = _held(ev, A, left) if held is None else held
         small = np.abs(held) <= self.reactions * _largest(s, forces)
         return _lengths(s, left - held, weight) if small.all() else sizes
+
+    def _by_fields(self, left: Array, weight: Array) -> Array | None:
+        """What joints and elastic fields take up of ``left``, (n_core,): all but weight d, d of (3) by the matrix of the step;
+        None where that is no such matrix.
+        """
+        n, s, w = len(left), self.solver.system, self.solver.weights
+        if not w.real or not w.ck:
+            return None
+        d = self.solver.solve(np.concatenate((left, np.zeros(s.n_v - n))), np.zeros(s.n_lam))[0]
+        return np.asarray(left - weight * (w.cm * d[:n]))
 
     def _allowed(self, t: float, h: float, largest: tuple[float, float], far: float) -> float:
         """The right-hand side of (2) after a step of h (s) to t, m/s; ``largest`` velocity and acceleration of the state are
