@@ -99,6 +99,32 @@ def test_instants_of_kept_steps_are_those_of_steps_looked_at_one_by_one(name: st
 
 
 @pytest.mark.compiled
+@pytest.mark.parametrize("scheme", [*EQUAL, *OWN], ids=lambda s: f"{named(s)} {getattr(s, 'rtol', None)}")
+def test_a_memory_ends_marches_only_where_more_than_the_motion_is_read(scheme: Any, monkeypatch: Any) -> None:
+    """Places and speeds tell nothing of it: 81 instants were as many marches."""
+    steps, calls = March.steps, [0]
+
+    def counted(*given: Any, **more: Any) -> Any:
+        calls[0] += 1
+        return steps(*given, **more)
+
+    monkeypatch.setattr(March, "steps", counted)
+
+    def moving(**more: Any) -> fmbd.Run:
+        scene = SEVERAL["memory"]()
+        body = list(scene.bodies.values())[-1]
+        scene.sensor("place", fmbd.position(body))
+        scene.sensor("speed", fmbd.velocity(body))
+        dt = DT if getattr(scheme, "rtol", None) is None else None
+        output = fmbd.Output(times=TIMES, energy=False, progress=False, **more)
+        return fmbd.solve(scene, t_end=T_END, dt=dt, scheme=scheme, output=output)
+
+    found = moving()
+    assert calls[0] <= 8 or isinstance(scheme, EXPLICIT[1:])  # forces tell what these do within a step
+    assert_alike(found, moving(on_step=lambda now: None), 1e-9)
+
+
+@pytest.mark.compiled
 @pytest.mark.parametrize("name", ["plane", "space", "driven", "reduced"])
 @pytest.mark.parametrize("scheme", [*EQUAL, *OWN], ids=lambda s: f"{named(s)} {getattr(s, 'rtol', None)}")
 def test_little_room_for_kept_steps_changes_nothing(name: str, scheme: Any, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -70,6 +70,7 @@ class TimeStepper(Remembering):
         longest, ends, last: the most that a step of :meth:`march` may be, when steps have to end, and until when they may begin
             (s), see :meth:`bound`.
         passes_marks: steps of one :meth:`march` hit all ends up to the last one.
+        forces_within: forces at the ends of steps tell the states between.
         keeps_memories: it moves the memory of elements on by itself, see :meth:`note`.
         recorded: the highest derivative of the motion that somebody reads, 2: accelerations and multipliers.
         struck: instants (s) of impacts that happened at their own times, the newest of many.
@@ -85,6 +86,7 @@ class TimeStepper(Remembering):
     ends: Sequence[float] = (-inf,)
     last: float = inf
     passes_marks: bool = False
+    forces_within: bool = False
     keeps_memories: bool = False
     recorded: int = 0
     gives_up: bool = False
@@ -187,7 +189,7 @@ class TimeStepper(Remembering):
 
 @answered_by(
     "stepper",
-    "path struck passes_marks kinks origin earlier told between within bound restart note stride tape step_back",
+    "path struck passes_marks forces_within kinks origin earlier told between within bound restart note stride tape step_back",
 )
 class Around(TimeStepper):
     """A stepper around another one, ``stepper``, which answers what this one does not say itself."""

@@ -61,6 +61,7 @@ class ExplicitStepper(OwnMarch):
     """Advances a consistent state. A method says how a step is made (:meth:`_step`), and by which tableau."""
 
     what = "The scheme"  # in messages
+    forces_within = True
     failures = ("constraints not closed",)
     embedded: ClassVar[Array]  # weights of slopes in formulas of the error, (formulas, stages)
     _slopes: Array = np.zeros(0)  # what the last step has left for its polynomial

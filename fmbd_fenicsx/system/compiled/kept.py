@@ -73,13 +73,13 @@ class Kept:
         self.library, self.tables, self.calls, self._tape = library, tables, calls, tape
         size = block_size(tables.system)
         # a memory of elements is that of the newest step
-        self.many = not (tables.c.remembers or tables.sampled)
-        most = min(max(BYTES // (8 * (3 * size + own)), FEW + parts), CAPACITY + parts) if self.many else parts
+        self.many, self._parts = not (tables.c.remembers or tables.sampled), parts
+        most = min(max(BYTES // (8 * (3 * size + own)), FEW + parts), CAPACITY + parts)
         self._sizes = {"newest": (most, size + own), "begin": (most, size), "earlier": (most, size), "last": (size,)}
         self._number = np.zeros(most, dtype=np.int64)
         self.c: _Kept = _Kept(capacity=most, own=own, most=parts, number=address_of(self._number))
         self.address: int = ctypes.addressof(self.c)
-        self.most = max(most, FEW)  # instants that are told together
+        self.most = most  # instants that are told together
         self._instants: Array = np.zeros(0)
 
     @cached_property
@@ -99,13 +99,14 @@ class Kept:
         """Nothing is kept."""
         self.c.count = 0
 
-    def begin(self, instants: Array, roundoff: float, began: State | None, *, each: bool) -> None:
+    def begin(self, instants: Array, roundoff: float, began: State | None, *, each: bool, motion: bool) -> None:
         """The next march keeps steps in which one of these lies (s, rising), but for so much roundoff (s), or ``each``;
-        ``began``: where the step before it did, None where forces jump between.
+        ``began``: where the step before it did, None where forces jump between; ``motion``: only this is read.
         """
         self._instants, c = np.ascontiguousarray(instants), self.c
         c.instant, c.instants, c.roundoff = address_of(self._instants), len(instants), roundoff
         c.passed = c.steps = c.count = 0
+        c.capacity = self.most if self.many or motion else self._parts
         c.each = each
         self._room["last"][:] = np.nan if began is None else blocks_of(self.tables.twin, States.of([began]))[0]
 

@@ -154,6 +154,12 @@ class Looks:
         rest = [f for f in self.system.forces if type(f) not in known and not f.formulas() and f.mounts() is None]
         return [f for f in rest if type(f).energy is not Loads.energy]
 
+    @cached_property
+    def of_motion(self) -> bool:
+        """Whether sensors read the motion alone, which tells nothing of a memory."""
+        forces = self.elements or self.wrenches or any(sensor.derivative > 1 for sensor, _ in self.system.sensed)
+        return self.complete and not forces
+
     @property
     def energies_known(self) -> bool:
         """Whether the driver tells all energies of a state."""

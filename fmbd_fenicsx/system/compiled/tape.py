@@ -182,10 +182,11 @@ class Tape:
         """Whether the march has ended because of an event, or for want of room."""
         return bool(self.c.crossed) or (self.kept is not None and self.kept.full)
 
-    def wait(self, instants: Array, roundoff: float, began: State | None, *, each: bool) -> None:
-        """The next march keeps the steps of these instants, or ``each``, see :meth:`.Kept.begin`."""
+    def wait(self, instants: Array, roundoff: float, began: State | None, *, each: bool, forces: bool) -> None:
+        """The next march keeps the steps of these instants, or ``each``, see :meth:`.Kept.begin`; ``forces``: these are read."""
         assert self.kept is not None
-        self.kept.begin(instants, roundoff, began, each=each)
+        motion = not forces and self.tables.looks.of_motion
+        self.kept.begin(instants, roundoff, began, each=each, motion=motion)
         self.c.kept = self.kept.address
 
     def step_back(self, t: float) -> None:
