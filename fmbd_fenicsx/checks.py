@@ -244,18 +244,13 @@ def _annotated(kind: Any) -> tuple[tuple[str, Any, Any], ...]:
 def typed(make: Callable[P, T]) -> Callable[P, T]:
     """A function whose arguments are checked by their annotations before it is called."""
     signature = inspect.signature(make)
-    bound = _binder(signature)
     module, title = make.__module__, make.__qualname__.rpartition("<locals>.")[2]
+    bound = binder(title, signature)
     hints: dict[str, tuple[Any, Any]] = {}
 
     @wraps(make)
     def checked(*args: P.args, **kwargs: P.kwargs) -> T:
-        try:
-            values = bound(args, kwargs)
-        except TypeError:
-            refuse_unfitting(title, signature, args, kwargs)
-            raise
-
+        values = bound(args, kwargs)
         label = _label(title, values)
 
         # names of annotations may come from modules that import this one: they are looked up at the first call
@@ -288,24 +283,26 @@ def telling(kind: Any) -> None:
         try:
             own(self, *args, **kwargs)
         except TypeError:
-            refuse_unfitting(kind.__name__, inspect.signature(kind), args, kwargs)
+            fitted(kind.__name__, inspect.signature(kind), args, kwargs)
             raise
 
     kind.__init__ = begin
 
 
-def refuse_unfitting(title: str, signature: inspect.Signature, args: Sequence[Any], kwargs: Mapping[str, Any]) -> None:
-    """One sentence for a call that does not fit a signature, with what it takes; nothing for others."""
+def fitted(
+    title: str, signature: inspect.Signature, args: Sequence[Any], kwargs: Mapping[str, Any]
+) -> Mapping[str, Any]:
+    """The arguments of a call by their names; one sentence where it does not fit the signature, with what that takes."""
     try:
-        signature.bind(*args, **kwargs)
+        return signature.bind(*args, **kwargs).arguments
     except TypeError as error:  # without the function's name
         unknown = next((name for name in kwargs if name not in signature.parameters), None)
         hint = nearest(unknown, list(signature.parameters)) if unknown else ""
         raise CallError(f"{title}(): {error}. {hint}It takes {_taken(signature)}.") from None
 
 
-def _binder(signature: inspect.Signature) -> Callable[[tuple[Any, ...], dict[str, Any]], Mapping[str, Any]]:
-    """The arguments of a call by their names. Usual calls are told at a glance, others are left to the signature."""
+def binder(title: str, signature: inspect.Signature) -> Callable[[tuple[Any, ...], dict[str, Any]], Mapping[str, Any]]:
+    """What :func:`fitted` tells of calls of one function. Usual ones are seen at a glance."""
     parameters = signature.parameters.values()
     places = [p.name for p in parameters if p.kind is inspect.Parameter.POSITIONAL_OR_KEYWORD]
     needed = {p.name for p in parameters if p.default is inspect.Parameter.empty}
@@ -319,7 +316,7 @@ def _binder(signature: inspect.Signature) -> Callable[[tuple[Any, ...], dict[str
             values |= kwargs
             if once and needed <= values.keys() <= known:
                 return values
-        return signature.bind(*args, **kwargs).arguments
+        return fitted(title, signature, args, kwargs)
 
     return bound
 

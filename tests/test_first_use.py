@@ -271,7 +271,8 @@ def test_sensors_of_elements_take_names() -> None:
     with pytest.raises(InputError, match='Joint "pin" .revolute. has no displacement; .*distance and segment do'):
         scene.sensor("s", fmbd.displacement("pin"))
     with pytest.raises(
-        InputError, match='coordinate of joint "pin" must be fmbd.angle.* of a joint itself, not of its name'
+        InputError,
+        match='coordinate angle or displacement of joint "pin" must be fmbd.angle.* of a joint itself, not of its name',
     ):
         fmbd.drive("drive", fmbd.angle("pin"), lambda t: t)
 

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..checks import function, refuse, refuse_unfitting
+from ..checks import fitted, function, refuse
 from ..errors import FmbdError, InputError, LawError, near, require
 from ..kernel_cache import cores
 from ..ranks import world_size
@@ -156,7 +156,7 @@ def run_variants(
         "study.map: checkpoints are of one run alone. Loop over solve() with a folder for each variant.",
     )
     of_run = signature(solve)
-    refuse_unfitting("study.map", of_run.replace(parameters=[*of_run.parameters.values()][1:]), (), settings)
+    fitted("study.map", of_run.replace(parameters=[*of_run.parameters.values()][1:]), (), settings)
     output = settings.setdefault("output", Output(progress=False))
     one = _kept if keep_failures else _one
     first = one(make, given[0], settings)

@@ -116,7 +116,7 @@ class NamedCoordinate:
 
     name: str
     of: Callable[[Callable[[str], Joint]], Coordinate]
-    shown_as: ClassVar[str] = "coordinate of joint"
+    shown_as: ClassVar[str] = "angle or displacement of joint"
     made_by: ClassVar[str] = "one of a joint's name"
     __array_ufunc__ = None
 

@@ -13,8 +13,8 @@ The integral of a PID controller is kept by compiled steps as the structure PidM
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -108,58 +108,19 @@ class PointMemories:
         self, kept: ControllerMemory, rule: PointRule, readings: Array, asked: Callable[[float, Array, Array], Answers]
     ) -> None:
         """Solve (1) for readings (k, size); ``asked``: (t, y, z) -> (u, g)."""
-        t, k, y = [float(x) for x in rule.t], len(rule.t), [y.tobytes() for y in readings]
+        t, y = [float(x) for x in rule.t], [y.tobytes() for y in readings]
         if self.kept is kept and (self.t, self.y) == (t, y) and self.rule is not None and self.rule.follows(rule):
             return
-        laws = [partial(asked, t[i], readings[i]) for i in range(k)]
-        z = self.z if self.kept is kept and self.t == t else np.array([kept.foretold(x) for x in t])
-        slopes = self.slopes if self.kept is kept and len(self.t) == k else None
-        behind = rule.past @ kept.ends(rule.ends)
-        left = solved(rule.couple, behind)
-        # rates and places of an iterate that is far off would hide what is left
+        laws = [partial(asked, t[i], readings[i]) for i in range(len(t))]
+        # rates of an iterate that is far off would hide what is left
         least = np.maximum(self.sizes(kept, kept.t, kept.z), (t[-1] - kept.t) * self.widest(kept))
-        before, own, size = np.inf, False, least
-        step, taken = np.zeros_like(z), 1.0  # the newest increment, and the share of it that is taken
+        equations = _Equations(self.name, t[-1], rule.couple, rule.past @ kept.ends(rule.ends), laws, least)
 
-        for _ in range(SWEEPS):
-            answers = [laws[i](z[i]) for i in range(k)]
-            u, rates = (np.array(x) for x in zip(*answers, strict=True))
-            earlier, size = size, np.maximum(least, _largest(z + left))
-            if slopes is None:
-                slopes = [differences(z[-1], size, laws[-1], answers[-1])] * k
-
-            miss = rule.couple @ z + behind - rates
-            change = _change(rule.couple, slopes, miss)
-            share = _share(change, size)
-            if own and not _share(change, earlier) <= (1.0 - FALLEN * taken) * before:
-                # half as far: slopes of where it came from led astray
-                taken, size = 0.5 * taken, earlier
-                z = z + taken * step
-                continue
-
-            own = share > FALLS * before
-            if own:  # each point has its own
-                slopes = [differences(z[i], size, laws[i], answers[i]) for i in range(k)]
-                change = _change(rule.couple, slopes, miss)
-                share = _share(change, size)
-
-            step, taken = change, 1.0
-            if share > LEFT:
-                z = z - change
-            if share <= NEAR and (share <= LEFT or np.all(_largest(solved(rule.couple, miss)) <= size)):
-                break
-            before = share
-        else:
-            raise CallbackError(
-                f'Controller "{self.name}": its memory has no value up to t = {t[-1]:g} s. Is the law smooth in it?'
-            )
-
-        # along their slopes for the rest of the way
-        if share > LEFT:
-            u = u - np.array([by_u @ x for (by_u, _), x in zip(slopes, change, strict=True)])
-            rates = rates - np.array([by_rate @ x for (_, by_rate), x in zip(slopes, change, strict=True)])
+        begin = self.z if self.kept is kept and self.t == t else np.array([kept.foretold(x) for x in t])
+        slopes = self.slopes if self.kept is kept and len(self.t) == len(t) else None
+        self.z, answers, self.slopes = equations.solve(begin, slopes)
+        self.u, self.rate = map(list, zip(*answers, strict=True))
         self.kept, self.rule, self.t, self.y = kept, rule, t, y
-        self.slopes, self.z, self.u, self.rate = slopes, z, list(u), list(rates)
 
     def widest(self, kept: ControllerMemory) -> Array:
         """The largest ``reach`` so far."""
@@ -182,19 +143,97 @@ class PointMemories:
         return over(off, of.rtol * self.sizes(kept, self.t[-1], self.z[-1]) + of.atol)
 
 
+@dataclass(frozen=True)
+class _Guess:
+    """Memories z at the points (k, m), what laws answer there, by how much (1) is missed, and what changes are measured by (m,)."""
+
+    z: Array
+    answers: list[Answers]
+    miss: Array
+    size: Array
+
+
+@dataclass
+class _Equations:
+    """(1) of a step to ``t``: couple z + behind = g, with a law z_i -> (u, g) for each point; ``least``: sizes at least (m,)."""
+
+    name: str
+    t: float
+    couple: Array
+    behind: Array
+    laws: Sequence[Callable[[Array], Answers]]
+    least: Array
+    sweeps: int = 0
+
+    def __post_init__(self) -> None:
+        self.without = solved(self.couple, self.behind)  # where no law acts
+
+    def solve(self, z: Array, slopes: list[Answers] | None) -> tuple[Array, list[Answers], list[Answers]]:
+        """Memories, answers and slopes at the points, from a first guess, by Newton's method.
+
+        Slopes serve as long as they leave little of what was left before, then each point has its own.
+        """
+        at = self.at(z)
+        slopes = slopes or self.slopes(at, -1) * len(z)
+        before = np.inf
+        while True:
+            change, share = self.change(slopes, at)
+            own = share > FALLS * before
+            if own:
+                slopes = self.slopes(at, *range(len(z)))
+                change, share = self.change(slopes, at)
+
+            if share <= LEFT:
+                return at.z, at.answers, slopes
+            if share <= NEAR and np.all(_largest(solved(self.couple, at.miss)) <= at.size):
+                # along their slopes for the rest of the way
+                return at.z - change, _along(at.answers, slopes, -change), slopes
+            at = self.nearer(at, slopes, change, share) if own else self.at(at.z - change)
+            before = share
+
+    def at(self, z: Array) -> _Guess:
+        """What is there with these memories."""
+        self.sweeps += 1
+        if self.sweeps > SWEEPS:
+            raise CallbackError(
+                f'Controller "{self.name}": its memory has no value up to t = {self.t:g} s. Is the law smooth in it?'
+            )
+        answers = [law(z[i]) for i, law in enumerate(self.laws)]
+        miss = self.couple @ z + self.behind - np.array([rate for _, rate in answers])
+        return _Guess(z, answers, miss, np.maximum(self.least, _largest(z + self.without)))
+
+    def slopes(self, at: _Guess, *points: int) -> list[Answers]:
+        """du/dz and dg/dz at these points."""
+        return [differences(at.z[i], at.size, self.laws[i], at.answers[i]) for i in points]
+
+    def change(self, slopes: list[Answers], at: _Guess) -> tuple[Array, float]:
+        """By how much memories are off where (1) is, (k, m), and the largest share of their sizes."""
+        k, m = at.miss.shape
+        matrix = self.couple[:, None, :, None] * np.eye(m)[:, None, :]
+        for i, (_, by_rate) in enumerate(slopes):
+            matrix[i, :, i] -= by_rate
+        change = solved(matrix.reshape(k * m, k * m), at.miss.ravel()).reshape(k, m)
+        return change, _share(change, at.size)
+
+    def nearer(self, at: _Guess, slopes: list[Answers], change: Array, share: float) -> _Guess:
+        """Where a change leads, or half as far as often as slopes of where it comes from lead astray."""
+        taken, guess = 1.0, self.at(at.z - change)
+        while not self.change(slopes, replace(guess, size=at.size))[1] <= (1.0 - FALLEN * taken) * share:
+            taken *= 0.5
+            guess = self.at(guess.z + taken * change)
+        return guess
+
+
 def over(off: Array, allowed: Array) -> float:
     """The largest of errors (m,) over what is allowed (m,), where that is no zero."""
     counts = allowed != 0
     return float(np.max(np.abs(off[counts]) / allowed[counts], initial=0.0))
 
 
-def _change(couple: Array, slopes: list[Answers], miss: Array) -> Array:
-    """By how much memories are off where (1) is off by ``miss`` (k, m)."""
-    k, m = miss.shape
-    matrix = couple[:, None, :, None] * np.eye(m)[:, None, :]
-    for i, (_, by_rate) in enumerate(slopes):
-        matrix[i, :, i] -= by_rate
-    return solved(matrix.reshape(k * m, k * m), miss.ravel()).reshape(k, m)
+def _along(answers: list[Answers], slopes: list[Answers], way: Array) -> list[Answers]:
+    """Answers behind a way (k, m) of memories, by their slopes."""
+    told = zip(answers, slopes, way, strict=True)
+    return [(u + by_u @ x, rate + by_rate @ x) for (u, rate), (by_u, by_rate), x in told]
 
 
 def _largest(x: Array) -> Array:

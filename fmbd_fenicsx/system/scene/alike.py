@@ -12,7 +12,7 @@ from functools import wraps
 from typing import Any, ParamSpec, TypeVar
 
 from ...agreement import refuse_differing
-from ...checks import refuse_unfitting
+from ...checks import binder
 from ...notices import Runs
 from ...ranks import world_size
 from .described import described
@@ -30,25 +30,22 @@ def alike(call: Callable[P, T]) -> Callable[P, T]:
 
     Each call is a run or an analysis with warnings of its own.
     """
-    signature = inspect.signature(call)
+    bound = binder(call.__name__, inspect.signature(call))
 
     @wraps(call)
     def compared(*args: P.args, **kwargs: P.kwargs) -> T:
+        given = bound(args, kwargs)
         if world_size() > 1:
-            given = signature.bind(*args, **kwargs).arguments
-            scene = given.pop("scene", None)
+            scene: Any = given.get("scene")
             comm = _common(scene) if isinstance(scene, Scene) else None
             if comm is not None:
-                settings = {name: value for name, value in given.items() if name not in OF_RANK}
+                settings = {name: value for name, value in given.items() if name not in ("scene", *OF_RANK)}
                 values = described(scene, **settings) | values_of_inputs(scene)
                 refuse_differing(comm, call.__name__, {k: v for k, v in values.items() if k not in SHOWN})
         within, Runs.within = Runs.within, True
         Runs.begun += not within
         try:
             return call(*args, **kwargs)
-        except TypeError:
-            refuse_unfitting(call.__name__, signature, args, kwargs)
-            raise
         finally:
             Runs.within = within
 
