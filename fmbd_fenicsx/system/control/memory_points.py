@@ -145,7 +145,7 @@ class PointMemories:
 
 @dataclass(frozen=True)
 class _Guess:
-    """Memories z at the points (k, m), what laws answer there, by how much (1) is missed, and what changes are measured by (m,)."""
+    """Memories z at the points (k, m), what laws answer, by how much (1) is missed, and what changes are measured by (m,)."""
 
     z: Array
     answers: list[Answers]
