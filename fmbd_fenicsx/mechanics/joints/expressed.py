@@ -68,7 +68,7 @@ def constraint(
     a and b are the two markers, their arrays in world axes: ``x`` (d,) position in m, ``R`` (d, d) rotation since the start (its
     columns are the axes that the body carries), ``v`` (d,) velocity in m/s, ``w`` (3,), in the plane (1,), angular velocity in
     rad/s; t is the time in s. Write the formula with +, -, *, /, ** and NumPy's ``sqrt``, ``sin``, ``cos``, ``exp``, ``log``,
-    ``tanh``, ``arctan2``, ``dot``, ``cross``:
+    ``tanh``, ``arccos``, ``arctan2``, ``dot``, ``cross``:
 
         def rod(a, b, t):
             d = b.x - a.x

@@ -94,38 +94,10 @@ class Expression:
     def __abs__(self) -> Expression:
         raise TypeError("abs has no derivative at 0; np.sqrt(x * x + c * c) is smooth")
 
-    # NumPy's functions of objects call the method of their name: np.sin(x) is x.sin()
-    def sqrt(self) -> Expression:
-        """Square root."""
-        return sqrt(self)
-
-    def sin(self) -> Expression:
-        """Sine."""
-        return sin(self)
-
-    def cos(self) -> Expression:
-        """Cosine."""
-        return cos(self)
-
-    def exp(self) -> Expression:
-        """Exponential."""
-        return exp(self)
-
-    def log(self) -> Expression:
-        """Natural logarithm."""
-        return log(self)
-
-    def tanh(self) -> Expression:
-        """Hyperbolic tangent."""
-        return tanh(self)
-
+    # NumPy's functions of objects call the method of their name, np.sin(x) is x.sin(): those of x alone are set below
     def arctan2(self, x: Any) -> Expression:
         """Angle of the point (x, self), rad, in (-pi, pi]."""
         return atan2(self, x)
-
-    def arctan(self) -> Expression:
-        """Angle with this tangent, rad."""
-        return atan2(self, ONE)
 
     def __repr__(self) -> str:
         if self.operation in ("symbol", "constant"):
@@ -268,6 +240,27 @@ def nearest_turn(angle: Any, near: Any) -> Expression:
     """``angle`` (rad) plus the whole turns that bring it next to ``near``; its derivative is that of ``angle``."""
     return _node("nearest_turn", as_expression(angle), as_expression(near))
 
+
+# NumPy's functions of one number, each as accurate as there, at the ends of its range, too
+for _name, _function in {
+    "sqrt": sqrt,
+    "sin": sin,
+    "cos": cos,
+    "exp": exp,
+    "log": log,
+    "tanh": tanh,
+    "arctan": lambda x: atan2(x, ONE),
+    "tan": lambda x: sin(x) / cos(x),
+    "arcsin": lambda x: atan2(x, sqrt((1.0 - x) * (1.0 + x))),
+    "arccos": lambda x: atan2(sqrt((1.0 - x) * (1.0 + x)), x),
+    "sinh": lambda x: 0.5 * tanh(x) * (exp(x) + exp(-x)),  # exp(x) - exp(-x) cancels
+    "cosh": lambda x: 0.5 * (exp(x) + exp(-x)),
+    "expm1": lambda x: tanh(0.5 * x) * (exp(x) + 1.0),
+    "log10": lambda x: log(x) / math.log(10.0),
+    "deg2rad": lambda x: x * (math.pi / 180.0),
+    "radians": lambda x: x * (math.pi / 180.0),
+}.items():
+    setattr(Expression, _name, _function)
 
 # Derivatives of each operation by its arguments: (arguments, the node itself) -> one factor an argument.
 _DERIVATIVES: dict[str, Callable[..., tuple[Expression, ...]]] = {

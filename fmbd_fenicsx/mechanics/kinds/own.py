@@ -104,7 +104,7 @@ def traced(what: str, function: Function, dim: int) -> list[Expression]:
     except Exception as error:
         raise InputError(
             f"{what}: its expression(a, b, t) failed: {type(error).__name__}: {error}. It is called once with symbols and has to "
-            "write one smooth formula with +, -, *, /, ** and NumPy's sqrt, sin, cos, exp, log, tanh, arctan2."
+            "write one smooth formula with +, -, *, /, ** and NumPy's sqrt, sin, cos, tan, exp, log, tanh, arccos, arctan2."
         ) from error
 
     results = np.asarray(found, dtype=object)
