@@ -143,25 +143,21 @@ class ControlLoads(Loads):
         """How u answers to what is read, for each pair of an acting and a read marker; None when sampled."""
         if self.controller.every is not None:
             return None
-        pushed = list(zip(self.markers, self._rows(kin), strict=True))
-        entries: list[tuple[int, int, Array, bool]] = []
         slopes = self.law.slopes(t, self.read(kin), self.spans)
+        # du/d(displacement) and du/d(velocity) of each marker that is read, (acts, n) each
+        n, answers = self.motions.n_twist, dict[int, Array]()
         for reading in self.readings:
-            rows = reading.rows(kin)
-            for j in range(len(self.acts)):
-                for marker, row, fast in rows:
-                    # du/d(displacement or velocity of the marker), (n,)
-                    push = slopes[j, self.parts[reading.name]] @ row
-                    entries += [(int(m[j]), marker, -np.outer(r[j], push), fast) for m, r in pushed]
-        if not entries:
+            for marker, row, fast in reading.rows(kin):
+                answer = answers.setdefault(marker, np.zeros((2, len(self.acts), n)))
+                answer[int(fast)] += slopes[:, self.parts[reading.name]] @ row
+        if not answers:
             return None
 
-        # by displacements of what is read, or by its velocities
-        n = self.motions.n_twist
-        K, D = np.zeros((2, len(entries), 2 * n, 2 * n))
-        for i, (_, _, block, fast) in enumerate(entries):
-            (D if fast else K)[i, :n, n:] = block
-        return MarkerTangent((np.array([e[0] for e in entries]), np.array([e[1] for e in entries])), K, D)
+        blocks = -np.einsum("kai,rfaj->fkarij", self._rows(kin), list(answers.values()))
+        K, D = np.zeros((2, blocks[0, ..., 0, 0].size, 2 * n, 2 * n))
+        K[:, :n, n:], D[:, :n, n:] = blocks.reshape(2, -1, n, n)
+        pushed = np.ravel(self.markers)
+        return MarkerTangent((np.repeat(pushed, len(answers)), np.tile(list(answers), len(pushed))), K, D)
 
     def formulas(self) -> list[Formula]:
         """That of a continuous PID controller; none of other laws."""
