@@ -28,6 +28,7 @@ from ..prepared import Condensed
 from .delassus_matrix_free import MANY, Applied, SlaveBlocks
 
 CHUNK = 64  # columns solved together
+HELD = 2e7  # numbers of columns on all of a body that are held: 160 MB, of which known ones take memory
 PRODUCTS = 3e3  # operations of a problem by products for each unknown: measured
 
 
@@ -42,6 +43,7 @@ class Compliance(Remembering):
     def __init__(self, solver: StepSolver, contacts: ContactSet) -> None:
         self.solver, self.contacts = solver, contacts
         self._kept: dict[int, tuple[Any, Array, np.ndarray]] = {}  # trace -> factor, C_s, known columns
+        self._held: dict[int, Array] = {}
         self._together: dict[int, list[np.ndarray]] = {}  # which of them were solved together: roundoff depends on it
         self._surface: dict[int, tuple[Any, Array]] = {}
         self.columns = 0
@@ -108,6 +110,10 @@ class Compliance(Remembering):
         """C_s (n d, n d) of a trace with at least the columns of ``nodes``, and Y (n d, k) on it, of the block of its field."""
         return self._columns(i, block.factor, nodes), self._rows_of_Y(i, block)
 
+    def held(self, i: int) -> Array:
+        """Columns of E^-1, (n d, unknowns of the field): those whose C_s are known; none, (0, unknowns), of large bodies."""
+        return self._held[i]
+
     def _answers(self, core: Array, seen: list[Array]) -> tuple[Array, list[Array]]:
         """What the core does (m, n_core), and what acts on the columns of each field, S X of (2), under rows of forces on the
         core and on nodes of the fields, which the columns see as ``seen``.
@@ -156,6 +162,8 @@ class Compliance(Remembering):
             again = self._together.get(i, []) if kept is None else []
             kept = (factor, np.zeros((size, size)), np.zeros(size, dtype=bool))
             self._kept[i], self._together[i] = kept, []
+            unknowns = tr.field.n * tr.dim
+            self._held[i] = np.zeros((0 if tr.field.mixed or size * unknowns > HELD else size, unknowns))
             for earlier in again:
                 self._solve(i, earlier)
                 self.columns -= len(earlier)
@@ -185,6 +193,8 @@ class Compliance(Remembering):
         for k in range(0, len(missing), CHUNK):
             part = missing[k : k + CHUNK]
             Z = factor.solve_columns(tr.unit_columns(part))
+            if self._held[i].size:
+                self._held[i][part] = Z.T
             C[:, part] = np.stack([tr.gather(Z[:, j]).ravel() for j in range(len(part))], axis=1)
             self.columns += len(part)
         known[missing] = True

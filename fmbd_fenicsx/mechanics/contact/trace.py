@@ -158,7 +158,7 @@ class FieldTrace(ContactTrace):
 
     def unit_columns(self, dofs: np.ndarray) -> Array:
         """Unit nodal vectors (n_own d, len(dofs)) of trace unknowns (node d + component)."""
-        out = np.zeros((self.field.n * self.dim, len(dofs)))
+        out = np.zeros((self.field.n * self.dim, len(dofs)), order="F")
         node = dofs // self.dim - self.first
         c = dofs % self.dim
         # columns of other ranks' nodes are zero here

@@ -80,7 +80,8 @@ class Encounters(PairTables):
         first = 0
         for i, one in zip(self.traces, self._nodes_of_traces, strict=True):
             trace = contacts.traces[i]
-            one.size, one.first = trace.n, first
+            one.size, one.first, one.body = trace.n, first, self.tables.system.parts[trace.part].frame
+            one.numbers = self._array(f"numbers {i}", trace.own * self.tables.dim, np.int32)
             first += trace.n
 
         o.traces, o.nodes = len(self.traces), ctypes.addressof(self._nodes_of_traces)
@@ -182,6 +183,8 @@ class Encounters(PairTables):
             a[f"C {i}"], a[f"Y {i}"] = C, Y
             one.columns, one.at = Y.shape[1], int(first[k])
             one.C, one.Y = address_of(C), address_of(Y)
+            a[f"Z {i}"] = Z = self.compliance.held(i)
+            one.Z = address_of(Z) if Z.size else None
             a["answered"][one.first + nodes] = 1
 
         o.columns = int(first[-1])

@@ -27,6 +27,7 @@ PART void frame_conditions(System *s, const Body *o, const double *lam);
 PART int field_block(System *s, const Body *o, const double *R, const double *q);
 PART void condense(System *s, const Body *o);
 PART void field_answers(System *s, const Body *o);
+PART void answer_node(const Field *e, double c, const double *column);
 PART int field_load(System *s, const Body *o, double scale, double t);
 PART void field_increment(System *s, const Body *o, double *x);
 PART void field_without_load(const Body *o);

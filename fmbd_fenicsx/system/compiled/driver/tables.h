@@ -412,6 +412,7 @@ typedef struct {
     int recalls, newest;               /* RECALLS: samples of late hold, of this call of C or since Python has taken a state; */
     double *recent, recent_at[RECENT]; /* their numbers and times: one that is wanted again is not asked for again */
     int parts, imaginary;              /* 2 where the matrix is complex, see Field; whether its imaginary part is assembled */
+    int answered;                      /* whether fields know z of the forces on their nodes that come next */
     double *lossy;                     /* that part of the fronts */
     const Ties *ties;                  /* whose efforts are given; NULL: all are those of the state */
     struct ElasticContact *contact;         /* what bodies may touch in the steps of a march, NULL without, see elastic_books.c */

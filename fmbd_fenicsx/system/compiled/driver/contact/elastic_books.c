@@ -5,6 +5,9 @@
 typedef struct {
     int size, first, columns, at;
     const double *C, *Y;               /* size x size; size x columns */
+    int body;                          /* that of the field, which answers to unit forces on the nodes by */
+    const double *Z;                   /* size x its unknowns, where C is known; NULL: nowhere. And where the numbers of each node begin */
+    const int *numbers;                /* among these */
     int begin, end;                    /* among those touched */
     const int *start, *column;         /* of E there, by blocks D x D: where each row begins, and nodes of its blocks */
     const double *E;

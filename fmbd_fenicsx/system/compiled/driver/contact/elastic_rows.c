@@ -1,6 +1,7 @@
 /* Rows of contacts of fields, and how they answer to forces. A row acts on means of nodes of one field or two; before an obstacle that is one
    node, and the obstacle is at rest, moves as prescribed, or is carried by a body. */
 
+enum { SUPERPOSED = 96 };                /* columns that are sooner added than a solution is found, of thousands of unknowns in the plane */
 enum { WIDE = 2 * (D + TWIST) }; /* numbers of a row: directions at the nodes of both sides, on both frames */
 
 /* The nodes that candidate i acts on with one of its sides: entries of a mean over the points of a pair. */
@@ -139,6 +140,35 @@ static void add_pushes(System *s, const ElasticContact *o, double factor, const 
         }
 }
 
+/* How fields answer to forces b, like v, on the nodes touched, into their z, by columns that are held; whether they are, of SUPERPOSED numbers. */
+static int take_held(System *s, const ElasticContact *o, const double *b)
+{
+    const double *held[SUPERPOSED];
+    double force[SUPERPOSED];
+    const Body *on[SUPERPOSED];
+    int count = 0;
+    for (const Nodes *k = o->nodes; k < o->nodes + o->traces; k++) {
+        const Body *body = s->body + k->body;
+        for (int t = k->begin; t < k->end; t++) {
+            const double *at = b + body->at_v + k->numbers[o->touched[t]];
+            double f[D];
+            memcpy(f, at, sizeof f);
+            if (body->field->turns) transposed(body->field->T, at, f);
+            for (int j = 0; j < D; j++) {
+                if (f[j] == 0.0) continue;
+                if (o->applied || !k->Z || count == SUPERPOSED) return 0;
+                force[count] = f[j], on[count] = body;
+                held[count++] = k->Z + body->field->n * (D * o->touched[t] + j);
+            }
+        }
+    }
+
+    for (int k = 0; k < s->bodies; k++)
+        if (s->body[k].field) memset(s->body[k].field->z, 0, s->body[k].field->wide * sizeof(double));
+    for (int i = 0; i < count; i++) answer_node(on[i]->field, force[i], held[i]);
+    return 1;
+}
+
 /* The answers x, like v, and y of multipliers to forces on the rows times a scale; NULL: not wanted. Residuals are lost. */
 static int pushed(System *s, const ElasticContact *o, double scale, const double *f, double *x, double *y)
 {
@@ -146,7 +176,10 @@ static int pushed(System *s, const ElasticContact *o, double scale, const double
     memset(b, 0, s->nv * sizeof(double));
     memset(none, 0, s->rows * sizeof(double));
     add_pushes(s, o, scale, f, b);
-    return driver_solve(s, 1, o->factored, b, none, x, y ? y : none + s->rows);
+    s->answered = take_held(s, o, b);
+    const int verdict = driver_solve(s, 1, o->factored, b, none, x, y ? y : none + s->rows);
+    s->answered = 0;
+    return verdict;
 }
 
 /* ---- how contacts answer: (1) and (2) of linear/complementarity/delassus.py ---- */

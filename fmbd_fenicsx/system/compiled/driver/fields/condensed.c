@@ -212,6 +212,12 @@ static void apply(const Field *e, const double *A, int rows, int columns, const 
     }
 }
 
+/* z += c times a column of E^-1 */
+void answer_node(const Field *e, double c, const double *column)
+{
+    for (long i = 0; i < e->n; i++) e->z[i] += c * column[i];
+}
+
 /* The right-hand side of (2) into s->b by the numbers pz; its rows of the frame conditions hold what C^T dU has to be. */
 void condense(System *s, const Body *o)
 {
@@ -234,13 +240,13 @@ void condense(System *s, const Body *o)
     }
 }
 
-/* The same by the forces on the nodes times -scale; ``scale`` = 0: no forces. */
+/* The same by the forces on the nodes times -scale, unless z is known; ``scale`` = 0: no forces. */
 int field_load(System *s, const Body *o, double scale, double t)
 {
     const Field *e = o->field;
     int verdict = DONE;
     if (scale == 0.0) memset(e->z, 0, e->parts * e->wide * sizeof(double));
-    else if ((verdict = field_alone(s, o, scale, t))) return verdict;
+    else if (!s->answered && (verdict = field_alone(s, o, scale, t))) return verdict;
 
     for (int part = 0; part < e->parts; part++) {
         double *z = e->z + part * e->wide, *pz = e->pz + part * e->solved;

@@ -21,15 +21,17 @@
 #include "algebra/rotations.c"
 #include "parts.h"
 
-/* Four sums, so that the processor adds them at once. */
+enum { SUMS = 16 }; /* side by side, so that the processor adds them at once */
+
 static double long_dot(const double *x, const double *y, long n)
 {
-    double sum[4] = {0.0};
+    double sum[SUMS] = {0.0};
     long i = 0;
-    for (; i + 3 < n; i += 4)
-        for (int j = 0; j < 4; j++) sum[j] += x[i + j] * y[i + j];
+    for (; i + SUMS <= n; i += SUMS)
+        for (int j = 0; j < SUMS; j++) sum[j] += x[i + j] * y[i + j];
     for (; i < n; i++) sum[0] += x[i] * y[i];
-    return (sum[0] + sum[1]) + (sum[2] + sum[3]);
+    for (int j = SUMS / 2; j; j /= 2) add(sum, 1.0, sum + j, j);
+    return *sum;
 }
 
 /* One number of H^T U */
