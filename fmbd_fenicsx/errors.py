@@ -190,6 +190,15 @@ def named(
     return call
 
 
+def excused(error: CallbackError | LawError, *numbers: Any) -> FmbdError:
+    """An error of a user's function as it is, or the :class:`BalanceError` of a motion that has run away, where the ``numbers``
+    that it was asked with are none: whatever it answers, another step may do.
+    """
+    if all(np.isfinite(x).all() for x in numbers):
+        return error
+    return BalanceError(f"An iteration led to a motion that is not finite. {error}")
+
+
 def _no_number(value: Any) -> bool:
     """Whether a float is none, or some of an array of them are none; everything else is for others to look at."""
     if isinstance(value, float):

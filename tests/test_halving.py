@@ -230,3 +230,31 @@ def test_iterates_that_go_around_leave_no_trace() -> None:
     for k in range(1, 7):
         assert at(-1.1 * k) == pytest.approx(-1.1 * k)
     assert at(-0.1) == pytest.approx(-0.1)
+
+
+def asked(kind: str) -> fmbd.Scene:
+    """An arm on a hinge with a function of the user's own."""
+    arm = fmbd.RigidBody("arm", 1.0, 0.1, position=(0.5, 0))
+    hinge = fmbd.revolute("hinge", fmbd.ground, arm, center=(0, 0))
+    phi, none = fmbd.angle(hinge), np.zeros(1)
+    scene = fmbd.Scene("arm")
+    scene.add(arm, hinge)
+    scene.add(
+        {
+            "spring": lambda: fmbd.joint_spring("own", phi, law=lambda s, rate, t: -3.0 * s),
+            "cases": lambda: fmbd.joint_spring("own", phi, law=lambda s, rate, t: float(round(s))),
+            "force": lambda: fmbd.own_force("own", arm, None, lambda t, a: (-a.v, none)),
+            "controller": lambda: fmbd.controller("own", reads={"s": phi}, acts=phi, law=lambda t, y, z: -y["s"]),
+            "joint": lambda: fmbd.own_joint("own", fmbd.ground, arm, lambda xa, Ra, xb, Rb, t: [math.exp(xb[0]) - 1.0]),
+        }[kind]()
+    )
+    return scene
+
+
+@pytest.mark.parametrize("kind", ["spring", "cases", "force", "controller", "joint"])
+def test_a_function_is_not_to_blame_where_an_iteration_has_run_away(kind: str) -> None:
+    """Of no numbers it may make what it likes: the step has failed, and smaller ones are tried."""
+    system, state, *_ = asked(kind).build()
+    ev = system.at(0.0, state.q * np.nan, state.v)
+    with pytest.raises(BalanceError, match="not finite.*own"):
+        ev.wrenches(), ev.constraint()

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import CallbackError, named
+from ...errors import CallbackError, LawError, excused, named
 from ...rotations import Array, Motions
 from ..frames import Kinematics
 from ..kinds.expressions import Expression, Program, as_expression, gradient, passing, symbol
@@ -156,8 +156,15 @@ class OwnLoads(Loads):
         usual: Array | None = law.wrench(n, d, t, *motions)  # this is called at every iterate
         if usual is not None:
             return usual
+        try:
+            return self._checked(k, t, law(t, *motions))
+        except (CallbackError, LawError) as error:
+            raise excused(error, *(y for x in motions for y in (x.x, x.R, x.v, x.w))) from error.__cause__
 
-        name, value = self.forces[k].name, law(t, *motions)
+    def _checked(self, k: int, t: float, value: Any) -> Array:
+        """What the law of force k returned, (n,)."""
+        name, d = self.forces[k].name, self.motions.dim
+        n = d + self.motions.n_rot
         try:
             found = np.concatenate([np.atleast_1d(x) for x in value])
         except (TypeError, ValueError, OverflowError):

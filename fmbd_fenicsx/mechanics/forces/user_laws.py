@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import AGREEMENTS, BalanceError, CallbackError, floats, named
+from ...errors import AGREEMENTS, BalanceError, CallbackError, LawError, excused, floats, named
 from ...rotations import Array
 
 
@@ -88,7 +88,10 @@ class Repeatable:
                 found = None  # with a name below
             if found is not None:
                 return found
-        return checked_number(self.name, self(*args), float(np.real(args[self.time])))
+        try:
+            return checked_number(self.name, self(*args), float(np.real(args[self.time])))
+        except (CallbackError, LawError) as error:
+            raise excused(error, *args) from error.__cause__
 
     def numbers(self, size: int, t: float) -> Sequence[float] | Array:
         """What it returns at a time as so many numbers, as :meth:`number` does."""

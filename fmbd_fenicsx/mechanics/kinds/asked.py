@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import AGREEMENTS, CallbackError, named, require
+from ...errors import AGREEMENTS, CallbackError, LawError, excused, named, require
 from ...log import log
 from ...rotations import Array, Motions, quaternion_exp, quaternion_matrix, spin_matrix
 from .expressions import ZERO
@@ -97,7 +97,10 @@ class AskedFunction(Answers):
                     return found
             except Exception:
                 pass  # with a name below
-        return self.checked(self.function(x[0], R[0], x[1], R[1], t), t)
+        try:
+            return self.checked(self.function(x[0], R[0], x[1], R[1], t), t)
+        except (CallbackError, LawError) as error:
+            raise excused(error, x, R) from error.__cause__
 
     # -- rows -----------------------------------------------------------------------------------------------------------
     def derivative(self, poses: Poses, t: float) -> Array:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...errors import CallbackError, LawError, named
+from ...errors import CallbackError, LawError, excused, named
 from ...rotations import Array
 from .control_laws import PidLaw, differences, numbers_of, solved, unfelt
 from .control_memory import ControllerMemory, StepMemory
@@ -71,7 +71,10 @@ class LawWithMemory:
     def asked(self, t: float, y: Array, z: Array) -> tuple[Array, Array]:
         """What a continuous law answers at readings y, (size,)."""
         own = y.copy()
-        return self.ask(t, {name: own[part] for name, part in self.parts.items()}, z)
+        try:
+            return self.ask(t, {name: own[part] for name, part in self.parts.items()}, z)
+        except (CallbackError, LawError) as error:
+            raise excused(error, y, z) from error.__cause__
 
     def with_memory(self, t: float, y: Array) -> tuple[Array, Array, Array]:
         """u of a continuous law at time t, with z and g: as points of a step have it, else of (3); what was found is not asked
