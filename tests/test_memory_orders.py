@@ -175,17 +175,30 @@ def test_error_control_of_one_step_methods_sees_memories(
     assert float(np.abs(found["phi"] - close["phi"]).max()) < 2e-4
 
 
-def test_a_memory_of_time_alone_leaves_zero() -> None:
-    """By the trapezoidal rule no error is small beside what begins as t^4; steps went below roundoff for that."""
+LATE = {
+    "grows": (lambda z: np.sin(z), lambda t: t**3, lambda t: t**4 / 4),
+    "jumps": (lambda z: z * z, lambda t: 1.0 * (t > 0.3), lambda t: max(t - 0.3, 0.0)),
+}
+
+
+@pytest.mark.parametrize("name", LATE)
+@pytest.mark.parametrize(
+    "scheme",
+    [fmbd.GeneralizedAlpha(rtol=1e-5), fmbd.Radau(rtol=1e-6), fmbd.BDF(rtol=1e-6)],
+    ids=lambda x: type(x).__name__,
+)
+def test_a_memory_of_time_alone_leaves_zero(scheme: Any, name: str) -> None:
+    """No error is small beside what begins at nothing: steps went below roundoff for that, and a jump was 1000 rtol off."""
+    effort, rate, memory = LATE[name]
     body = fmbd.RigidBody("wheel", 1.0, 1.0, angular_velocity=1.0)
     hinge = fmbd.revolute("hinge", fmbd.ground, body, center=(0, 0))
-    phi, scene = fmbd.angle(hinge), fmbd.Scene("late")
-    law = lambda t, y, z: (float(np.sin(z[0])), t**3)  # noqa: E731
+    phi, scene = fmbd.angle(hinge), fmbd.Scene(name)
+    law = lambda t, y, z: (float(effort(z[0])), rate(t))  # noqa: E731
     scene.add(body, hinge, fmbd.controller("own", reads={"s": phi}, acts=phi, law=law, memory=(0.0,)))
     scene.sensor("phi", phi)
-    end = fmbd.solve(scene, t_end=1.0, scheme=fmbd.GeneralizedAlpha(rtol=1e-5))["phi"][-1, 0]
-    state = solve_ivp(lambda t, x: (x[1], np.sin(t**4 / 4)), (0, 1), (0.0, 1.0), rtol=1e-9)
-    assert end == pytest.approx(state.y[0, -1], abs=2e-5)
+    end = fmbd.solve(scene, t_end=1.0, scheme=scheme)["phi"][-1, 0]
+    state = solve_ivp(lambda t, x: (x[1], effort(memory(t))), (0, 1), (0.0, 1.0), rtol=1e-10, atol=1e-12)
+    assert end == pytest.approx(state.y[0, -1], abs=10 * scheme.rtol)
 
 
 def test_a_tighter_tolerance_is_met() -> None:

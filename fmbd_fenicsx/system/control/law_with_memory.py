@@ -15,7 +15,7 @@ from ...errors import CallbackError, LawError, excused, named
 from ...rotations import Array
 from .control_laws import PidLaw, differences, numbers_of, solved, unfelt
 from .control_memory import ControllerMemory, StepMemory
-from .memory_points import PointMemories, PointRule, over
+from .memory_points import PointMemories, PointRule
 from .readings import Readings
 
 if TYPE_CHECKING:
@@ -121,8 +121,6 @@ class LawWithMemory:
         """The error of z by (3) in a step that ends at t with these readings, over the tolerance,
 
         (1 - h/2 dg/dz)^-1 h^3 / 6 g[t_n-1, t_n, t],     divided differences; rates before the first step as where it begins.
-
-        A memory at zero of which nothing tells a size before the step has no error: none is small beside what it becomes.
         """
         if self.points.least is None:
             self._weigh(t, y, places)
@@ -131,8 +129,7 @@ class LawWithMemory:
         off = h**3 / 6 * ((rate - kept.rate) / h - (kept.rate - last) / before) / (h + before)
         if self._within.slopes is not None:
             off = solved(np.eye(len(z)) - 0.5 * h * self._within.slopes, off)
-        allowed = rtol * self.points.sizes(kept, t, z) + atol
-        return over(off, np.where(self.points.sizes(kept, t, kept.z) > 0, allowed, 0.0))
+        return self.points.measured(off, kept, (t, z), rtol, atol)
 
     def slopes(self, t: float, y: Array, spans: Array, *, quick: bool = False) -> Array:
         """du/dy, (acts, size), the memory going along: du/dy + du/dz (1 - w dg/dz)^-1 w dg/dy, w = h/2 in (3); what was found is

@@ -28,6 +28,7 @@ from .control_memory import PAST, ControllerMemory
 SWEEPS = 100  # of all points
 # shares of a memory that Newton's iteration may leave, and along which slopes tell what the law would answer
 LEFT, NEAR = 1e-14, 1e-7
+FADES = 0.95  # from step to step, of sizes that steps have foretold
 TINY = float(np.finfo(float).tiny)
 FALLS = 0.3  # share of what was left that slopes of one point may leave of all
 FALLEN = 0.25  # share of what an increment along a point's own slopes promises, that it must keep
@@ -71,6 +72,7 @@ class PointMemories:
 
     ``reach``: by how much readings that change by what they are at least change the rates; None before slopes were asked for.
     ``least``: what sizes are at least; None before the first step.
+    ``foretold``: sizes by steps from the newest memory, and what is left of earlier ones.
     ``lead``: by how much z answers to g where a tangent is taken, s; None: as the trapezoidal rule has it.
     """
 
@@ -86,6 +88,7 @@ class PointMemories:
     reach: Array | None = None
     least: Array | None = None
     lead: float | None = None
+    foretold: tuple[ControllerMemory | None, Array] = (None, np.zeros(1))
 
     def number(self, kept: ControllerMemory, t: float) -> int | None:
         """Which of the points a time is; None where it is none."""
@@ -140,7 +143,21 @@ class PointMemories:
         if of.frequency:
             assert self.slopes is not None
             off = solved(of.frequency * np.eye(len(off)) - self.slopes[-1][1], off)
-        return over(off, of.rtol * self.sizes(kept, self.t[-1], self.z[-1]) + of.atol)
+        return self.measured(off, kept, (self.t[-1], self.z[-1]), of.rtol, of.atol)
+
+    def measured(self, off: Array, kept: ControllerMemory, end: tuple[float, Array], rtol: float, atol: float) -> float:
+        """The largest of errors (m,) of a step to an ``end``, t and z, over the tolerance.
+
+        Where steps have led that were refused foretells a size, which fades from step to step: of a memory that leaves zero no
+        error is small beside what it becomes within the step. One that has gone astray, by more than its size, leaves nothing.
+        """
+        size, (begun, foretold) = self.sizes(kept, *end), self.foretold
+        if begun is not kept:
+            foretold = FADES * np.resize(foretold, len(size))
+        self.foretold = kept, np.maximum(foretold, np.where(np.abs(off) < size, size, 0.0))
+        allowed = rtol * np.maximum(size, foretold) + atol
+        counts = allowed != 0
+        return float(np.max(np.abs(off[counts]) / allowed[counts], initial=0.0))
 
 
 @dataclass(frozen=True)
@@ -222,12 +239,6 @@ class _Equations:
             taken *= 0.5
             guess = self.at(guess.z + taken * change)
         return guess
-
-
-def over(off: Array, allowed: Array) -> float:
-    """The largest of errors (m,) over what is allowed (m,), where that is no zero."""
-    counts = allowed != 0
-    return float(np.max(np.abs(off[counts]) / allowed[counts], initial=0.0))
 
 
 def _along(answers: list[Answers], slopes: list[Answers], way: Array) -> list[Answers]:
