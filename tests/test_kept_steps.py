@@ -98,10 +98,8 @@ def test_instants_of_kept_steps_are_those_of_steps_looked_at_one_by_one(name: st
     assert np.array_equal(found.state.q, free.state.q)  # and leave the march as it is
 
 
-@pytest.mark.compiled
-@pytest.mark.parametrize("scheme", [*EQUAL, *OWN], ids=lambda s: f"{named(s)} {getattr(s, 'rtol', None)}")
-def test_a_memory_ends_marches_only_where_more_than_the_motion_is_read(scheme: Any, monkeypatch: Any) -> None:
-    """Places and speeds tell nothing of it: 81 instants were as many marches."""
+def marches(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """How many are made from now on."""
     steps, calls = March.steps, [0]
 
     def counted(*given: Any, **more: Any) -> Any:
@@ -109,12 +107,26 @@ def test_a_memory_ends_marches_only_where_more_than_the_motion_is_read(scheme: A
         return steps(*given, **more)
 
     monkeypatch.setattr(March, "steps", counted)
+    return calls
+
+
+def rubbing() -> fmbd.Scene:
+    """A body with friction, of which places and speeds are read."""
+    scene = SEVERAL["memory"]()
+    body = list(scene.bodies.values())[-1]
+    scene.sensor("place", fmbd.position(body))
+    scene.sensor("speed", fmbd.velocity(body))
+    return scene
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("scheme", [*EQUAL, *OWN], ids=lambda s: f"{named(s)} {getattr(s, 'rtol', None)}")
+def test_a_memory_ends_marches_only_where_more_than_the_motion_is_read(scheme: Any, monkeypatch: Any) -> None:
+    """Places and speeds tell nothing of it: 81 instants were as many marches."""
+    calls = marches(monkeypatch)
 
     def moving(**more: Any) -> fmbd.Run:
-        scene = SEVERAL["memory"]()
-        body = list(scene.bodies.values())[-1]
-        scene.sensor("place", fmbd.position(body))
-        scene.sensor("speed", fmbd.velocity(body))
+        scene = rubbing()
         dt = DT if getattr(scheme, "rtol", None) is None else None
         output = fmbd.Output(times=TIMES, energy=False, progress=False, **more)
         return fmbd.solve(scene, t_end=T_END, dt=dt, scheme=scheme, output=output)
@@ -122,6 +134,14 @@ def test_a_memory_ends_marches_only_where_more_than_the_motion_is_read(scheme: A
     found = moving()
     assert calls[0] <= 8 or isinstance(scheme, EXPLICIT[1:])  # forces tell what these do within a step
     assert_alike(found, moving(on_step=lambda now: None), 1e-9)
+
+
+@pytest.mark.compiled
+def test_energies_at_ends_of_steps_end_no_march_at_instants_beside_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Runs of a search are recorded where the one before was, too: each of these instants ended a march."""
+    calls = marches(monkeypatch)
+    fmbd.solve(rubbing(), t_end=0.5, scheme=fmbd.BDF(), tol={"place": fmbd.relative(1e-3)})
+    assert calls[0] <= 30
 
 
 @pytest.mark.compiled

@@ -161,7 +161,7 @@ class CompiledCalls:
             recorder.straight.lead(tape, steps // every + 1)
         if self.looks_inside or recorder.wanted is not None:
             wanted = np.zeros(0) if recorder.wanted is None else recorder.wanted
-            forces = recorder.output.energy or self.stepper.forces_within
+            forces = recorder.energy_too or self.stepper.forces_within
             tape.wait(wanted, recorder.rounding, self._began, each=self.looks_inside, forces=forces)
         return min(steps, tape.room * every)
 

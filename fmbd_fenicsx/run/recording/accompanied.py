@@ -48,6 +48,11 @@ class Accompanied(Recorder):
         return super().wanted if self.timed else self.beside.wanted
 
     @property
+    def energy_too(self) -> bool:
+        """As :attr:`wanted`, by the other one."""
+        return super().energy_too if self.timed else self.beside.energy_too
+
+    @property
     def earlier(self) -> State | None:
         """As :attr:`wanted`, of the other one."""
         return super().earlier if self.timed else self.beside.earlier

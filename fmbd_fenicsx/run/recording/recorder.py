@@ -83,6 +83,11 @@ class Recorder:
         return None if self.instants is None else self.instants.left
 
     @property
+    def energy_too(self) -> bool:
+        """Whether energies are recorded at those instants."""
+        return self.output.energy
+
+    @property
     def earlier(self) -> State | None:
         """Where the step that led to the newest state began, None where forces jumped since then."""
         return None if self.instants is None else self.instants.earlier
