@@ -360,3 +360,35 @@ def test_energy_momentum_knows_the_shortening_of_its_ports(rod_mesh: Callable[..
 
     coarse, fine = off(4e-3), off(2e-3)
     assert fine < 0.4 * coarse
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("clamped", [False, True])
+def test_forces_of_ties_stiffen_as_those_of_joints(rod_mesh: Callable[..., Any], clamped: bool) -> None:
+    """A column clamped at its foot, with a plate on its top that presses with a share f of Euler's load: its frequency falls by
+    some sqrt(1 - f), whatever holds the plate and the foot; swings in runs are the same.
+    """
+    share, load = 0.8, np.pi**2 / 4 * MODULUS * HEIGHT**3 / 12  # of 1 m in height and 1 m across
+    mesh = rod_mesh(dim=2, h=0.04, height=HEIGHT)
+
+    def column(tied: bool, share: float) -> fmbd.Scene:
+        rod = fmbd.FloatingBody("rod", mesh, density=DENSITY, elastic=plane_stress(MODULUS, 0.3), stiffening="pin")
+        plate = fmbd.RigidBody("plate", 0.1, 1e-5, position=(1.0, 0.0))
+        scene = fmbd.Scene("column", gravity=(0.0, 1e-3))
+        foot = fmbd.tie_surface if tied and clamped else fmbd.fixed
+        top = fmbd.tie_surface if tied else fmbd.fixed
+        scene.add(rod, plate, foot("foot", rod.surface("pin"), fmbd.ground), top("top", rod.surface("tip"), plate))
+        scene.add(fmbd.force("press", plate, lambda t: (-share * load, 0.0)))
+        scene.sensor("plate", fmbd.position(plate))
+        return scene
+
+    free, held, tied = (
+        fmbd.modes(scene, 1, at=fmbd.equilibrium(scene)).frequencies[0]
+        for scene in (column(False, 0.0), column(False, share), column(True, share))
+    )
+    assert abs(held / free - np.sqrt(1 - share)) < 0.02
+    assert abs(tied / held - 1) < 5e-3
+
+    joint, tie = (fmbd.solve(column(tied, share), t_end=0.4, dt=5e-3, output=QUIET)["plate"] for tied in (False, True))
+    assert np.ptp(joint[:, 1]) > 2e-6
+    np.testing.assert_allclose(tie[:, 1], joint[:, 1], atol=1e-2 * np.ptp(joint[:, 1]))

@@ -57,8 +57,10 @@ class FieldPart(DistributedPart):
         self.origin = field.center  # of the frame, world axes at the start
         self.traces: list[Any] = []
 
-    def add_trace(self, B: Any) -> slice:
-        """Further ports B u of a tie by field multipliers, B (rows, n d) sparse; returns their place among the ports."""
+    def add_trace(self, B: Any, surface: str) -> slice:
+        """Further ports B u of a tie of a surface by field multipliers, B (rows, n d) sparse; returns their place there.
+        Collective.
+        """
         first = self.n_port
         self.traces.append(B)
         self.__dict__.pop("_port_rows", None)  # one more than those that were asked for

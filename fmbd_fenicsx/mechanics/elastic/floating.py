@@ -13,6 +13,9 @@ node-wise rotations (Galerkin mass, unlumped).
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 
 from ...errors import ConvergenceError, InputError
@@ -64,6 +67,14 @@ class FloatingField(FieldPart):
             self.mean_rates = np.vstack(
                 (field.Q[:, :d].T / field.mass_total, np.linalg.solve(inertia, field.Q[:, d:].T))
             )
+
+    def add_trace(self, B: Any, surface: str) -> slice:
+        """As of any field; forces of the tie stiffen the body as others on its surface do."""
+        ports = super().add_trace(B, surface)
+        if self.shortening is not None and self.stiffening is not None:
+            more = self.stiffening.of_trace(B, surface, self.shortening.N.shape[1])
+            self.shortening = replace(self.shortening, N=np.concatenate((self.shortening.N, more)))
+        return ports
 
     def _undeformed_columns(self) -> None:
         """Inertia of the frame about the body as it was meshed."""

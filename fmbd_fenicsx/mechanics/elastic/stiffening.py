@@ -209,6 +209,18 @@ class Stiffening:
 
         return Shortening(partial(products, G, d), np.concatenate(blocks, axis=1), f.total)
 
+    def of_trace(self, B: Any, surface: str, count: int) -> Array:
+        """What (1) of ``mechanics.elastic.foreshortening`` does to ports B u of a surface, (rows, ``count``); collective."""
+        f, m = self.field, self.field.motions
+        each = m.dim + m.n_rot
+        out = np.zeros((B.shape[0], count))
+        if surface in self.section_columns:
+            # the surface goes and turns as one about its centroid
+            rigid = m.rigid(f.X - f.moments(surface).reference[0]).reshape(-1, each)
+            first = each * list(self.section_columns).index(surface)
+            out[:, first : first + each] = f.total(B @ rigid)
+        return out
+
     @cached_property
     def _matrices(self) -> list[Any]:
         """K_g for each of :meth:`coefficients` on one component, None where nothing acts; collective."""

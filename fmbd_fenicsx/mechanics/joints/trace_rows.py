@@ -243,9 +243,9 @@ def build_trace_rows(
 
     _refuse_unseen(tie.name, mu, A)
 
-    a, start = _elastic_side(part, part_of[tie.a.body.name], trace, A)
+    a, start = _elastic_side(part, part_of[tie.a.body.name], tie.a.name, trace, A)
     if other is not None:
-        b, end = _elastic_side(other, part_of[tie.b.body.name], other_trace, B)
+        b, end = _elastic_side(other, part_of[tie.b.body.name], tie.b.name, other_trace, B)
         b = replace(b, s=b.s + (start - end))  # gaps of curved or distant meshes stay as they are
     else:
         frame, r, R = place(tie.b)
@@ -291,9 +291,9 @@ def _trace(part: Any, surface: Surface) -> Trace:
     return trace_of(part.field.space, surface.body.mesh, surface.name)
 
 
-def _elastic_side(part: Any, number: int, trace: Trace, A: sp.csr_matrix) -> tuple[TiedSide, Array]:
+def _elastic_side(part: Any, number: int, surface: str, trace: Trace, A: sp.csr_matrix) -> tuple[TiedSide, Array]:
     """Side with the ports p = A u (rows d) of a part, and int mu X in world axes at the start."""
-    ports = part.add_trace(sp.kron(trace.columns(A), sp.identity(trace.dim), format="csr"))
+    ports = part.add_trace(sp.kron(trace.columns(A), sp.identity(trace.dim), format="csr"), surface)
     m = np.asarray(A.sum(axis=1)).ravel()
     start = np.asarray(A @ trace.points)
     return TiedSide(part.frame, number, ports, m, start - m[:, None] * part.origin, trace, A), start

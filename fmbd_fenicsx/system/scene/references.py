@@ -75,11 +75,14 @@ def check_sensors(scene: Scene, rows: set[str]) -> None:
 
 
 def surfaces_in_use(scene: Scene) -> dict[str, list[str]]:
-    """Names of the surfaces of each body that joints, forces and sensors are on."""
+    """Names of the surfaces of each body that joints, forces and sensors are on, and ties of bodies that stiffen."""
     used: dict[str, list[str]] = {body: [] for body in scene.bodies}
     sides = [side for joint in scene.joints.values() for side in (joint.a, joint.b)]
     sides += [side for force in scene.forces.values() for side in force.sides]
     sides += [sensor.on for sensor in scene.sensors.values()]
+    # forces of a tie stiffen as those of a joint on the same surface
+    tied = [side for tie in scene.ties.values() for side in (tie.a, tie.b)]
+    sides += [side for side in tied if isinstance(side, Surface) and getattr(side.body, "held_at", None)]
     for side in sides:
         if isinstance(side, Surface) and side.name not in used[side.body.name]:
             used[side.body.name].append(side.name)
