@@ -362,8 +362,7 @@ def test_energy_momentum_knows_the_shortening_of_its_ports(rod_mesh: Callable[..
     assert fine < 0.4 * coarse
 
 
-@pytest.mark.mpi
-@pytest.mark.parametrize("clamped", [False, True])
+@pytest.mark.parametrize("clamped", [False, pytest.param(True, marks=pytest.mark.mpi)])
 def test_forces_of_ties_stiffen_as_those_of_joints(rod_mesh: Callable[..., Any], clamped: bool) -> None:
     """A column clamped at its foot, with a plate on its top that presses with a share f of Euler's load: its frequency falls by
     some sqrt(1 - f), whatever holds the plate and the foot; swings in runs are the same.

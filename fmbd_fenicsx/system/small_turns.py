@@ -1,8 +1,9 @@
 """A look at what is to turn little: bodies in absolute coordinates, x = X + u, with forms for small rotations, and bushings.
 
 A rotation by theta strains a body of a linear form, or of an energy of linear strains, by 1 - cos theta, and no joint or
-energy shows it; a viscous form of linear strains brakes the rotation itself. The moments of a bushing change their sign at half a
-turn, at the same energy.
+energy shows it. The stress of that turns the body back, as no stress does: of stiff bodies, and of those that hardly change their
+volume, more than all that acts on them long before theta is large. A viscous form of linear strains brakes the rotation itself.
+The moments of a bushing change their sign at half a turn, at the same energy.
 """
 
 from __future__ import annotations
@@ -16,7 +17,8 @@ from ..mechanics.forces.bushing import BushingLoads
 from .layout import State
 from .system import System
 
-SMALL = 0.05  # rad
+SMALL, LEAST = 0.05, 1e-6  # rad; turns of less are roundoff
+OWN = 0.2  # of the moments that act on a body
 HALF = 0.9 * np.pi  # rad: what is turned by more is soon turned by half a turn
 
 
@@ -34,13 +36,15 @@ class SmallTurns:
         for k, part in list(self.bodies):
             R = part.mean_rotation(self.system.local_q(state.q, k))
             sine = float(np.linalg.norm(R - R.T)) / np.sqrt(8.0)
-            if sine <= SMALL:
+            own = part.own_moment(self.system.local_q(state.q, k)) if LEAST < sine <= SMALL else 0.0
+            if sine <= SMALL and own <= OWN:
                 continue
             self.bodies.remove((k, part))
             log.warning(
-                'body "%s" has turned by %.2g rad in absolute coordinates: %s',
+                'body "%s" has turned by %.2g rad in absolute coordinates%s: %s',
                 part.name,
                 np.arcsin(sine),
+                f", and its strains turn it by {100 * own:.0f} % of what joints and loads do" if own else "",
                 part.turns_little.format(strain=1.0 - np.sqrt(1.0 - sine**2)),
             )
 

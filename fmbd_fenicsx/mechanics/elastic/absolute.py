@@ -21,7 +21,7 @@ from ...fem.initial import initial_fields
 from ...fem.mean_forces import MeanForces
 from ...fem.motion_tangent import MotionTangent
 from ...fem.rigid_turns import damping_sees_turns, energy_sees_turns
-from ...rotations import Array, rotate_nodal
+from ...rotations import Array, axial, rotate_nodal
 from ..body import Placed, Site
 from ..frames import polar_rotation
 from ..placements import Approach, FrameMotion
@@ -100,6 +100,23 @@ class AbsoluteField(FieldPart):
         # mean deformation gradient over the mass; the rotation in it
         F = self.field.total((self.field.X + u.reshape(-1, d)).T @ self._moment_columns)
         return polar_rotation(F[None])[0]
+
+    def own_moment(self, u: Array) -> float:
+        """The moment of elastic forces on the body as a whole at displacements u (n d,), which strains do not have, over what its
+        joints, ties and other forces turn it by: net on surfaces in use, by their size elsewhere. Collective.
+        """
+        f, d = self.field, self.field.dim
+        U, F = u.reshape(-1, d), f.internal(u).reshape(-1, d)
+        mean = f.total(f.mass(U).sum(axis=0)) / f.mass_total
+        held = [s.nodes for s in self.surfaces] + [np.unique(B.indices // d) for B in self.traces]
+        others = np.ones(len(F), bool)
+        others[np.concatenate([np.zeros(0, int), *held])] = False
+
+        nets = [np.ravel(axial((f.X + U - mean).T @ F)), *(np.ravel(axial(f.X[on].T @ F[on])) for on in held)]
+        size = np.linalg.norm(f.X[others], axis=1) @ np.linalg.norm(F[others], axis=1)
+        *moments, scale = np.split(f.total(np.concatenate((*nets, [size]))), np.cumsum([len(x) for x in nets]))
+        own, *acting = (float(np.linalg.norm(x)) for x in (*moments, scale))
+        return own / sum(acting) if own else 0.0
 
     @property
     def renewable(self) -> bool:
