@@ -97,11 +97,15 @@ class Total:
 
 
 class Product:
-    """C = A B for matrices of two patterns; ``pattern``: of C, or a larger one that is given."""
+    """C = A B for matrices of two patterns; ``pattern``: of C, or a larger one that is given; ``through``: columns of A that
+    count (all).
+    """
 
-    def __init__(self, a: Pattern, b: Pattern, within: Pattern | None = None) -> None:
+    def __init__(
+        self, a: Pattern, b: Pattern, within: Pattern | None = None, through: np.ndarray | None = None
+    ) -> None:
         # each entry of A meets all of a row of B
-        counts = np.diff(b.start)[a.columns]
+        counts = (np.diff(b.start) * (True if through is None else through))[a.columns]
         self.a = np.repeat(np.arange(len(a)), counts)
         first = np.cumsum(counts) - counts
         self.b = np.arange(len(self.a)) - np.repeat(first - b.start[:-1][a.columns], counts)

@@ -4,8 +4,9 @@ With D = S - J and S the rates of all stages, d rate / d xi, the unknowns (dxi, 
 
     by_q + (by_v + by_a S) D,      G^T,      (by_v + by_a S) U,      by_a U,      [R^T; -1]                          (1)
 
-whose factors grow with the length of a chain. Rows that depend on each other are softened, as compiled factors do it (lu.c): with
-the phase of their compliance by the masses, so that the two never cancel.
+whose factors grow with the length of a chain. Where many joints meet at a body its moves U dmu and U dtau are unknowns too,
+as in :mod:`...system.compiled.states.stage_patterns`. Rows that depend on each other are softened, as compiled factors do it
+(lu.c): with the phase of their compliance by the masses, so that the two never cancel.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from ...errors import LinearSolveError
 from ...rotations import Array
 from ...system.mobility import SOFT
 from ...system.sparsity import Pattern, Product, Total
-from ...system.tangents.step_tangent import StepTangent
+from ...system.tangents.step_tangent import StepTangent, crowded
 from ..redundancy import corrections
 from ..residual import Judge
 from .pencil import OPEN_ROWS, REFINED, SINGULAR_MATRIX
@@ -47,7 +48,12 @@ class WholeStructure:
         self.va = Total(of["by_v"], self.a.pattern)
         self.moves = Product(self.va.pattern, self.D.pattern)
         # of multipliers on levels behind the first
-        self.across = [Product(x, of["U"]) for x in (self.va.pattern, of["by_a"])[: max(self.levels - 1, 0)]]
+        self.bears = bears = crowded(of["G"], of["M"])
+        self.moving = (self.va.pattern, of["by_a"])[: max(self.levels - 1, 0)]
+        self.across = [Product(x, of["U"], through=~bears) for x in self.moving]
+        self.on_moves = [np.flatnonzero(bears[x.columns]) for x in self.moving]
+        self.of_moves = np.flatnonzero(bears[of["U"].rows])
+        self.bearing = int(bears.sum())  # moves of each level that are unknowns
 
     @cached_property
     def ends(self) -> list[int]:
@@ -75,7 +81,13 @@ class WholeStructure:
         for entries in (across, soft):
             parts += [(rows, end + columns) for (rows, columns), end in zip(entries, ends, strict=False)]
         parts += [(rows, ends[-1] + columns) for rows, columns in tied]
-        size = k * self.size, k * self.size
+
+        number, first, U = np.cumsum(self.bears) - 1, ends[-1] + k * self.ties, of["U"]
+        for i, (x, on) in enumerate(zip(self.moving, self.on_moves, strict=True)):
+            at = first + i * self.bearing  # of rows too
+            parts += [(x.rows[on], at + number[x.columns[on]]), (at + np.arange(self.bearing),) * 2]
+            parts += [(at + number[U.rows[self.of_moves]], ends[i + 1] + U.columns[self.of_moves])]
+        size = (first + len(self.moving) * self.bearing,) * 2
         return Total(*(Pattern(size, columns, rows) for rows, columns in parts))
 
     @cached_property
@@ -117,7 +129,10 @@ class WholePencil:
         across = [of.data(left, data["U"]) for of, left in zip(o.across, (self.va, data["by_a"]), strict=False)]
         self.softness = self._softness(S, first, units)
         efforts = -np.ones(o.stages * o.ties)
-        entries = o.whole.data(data["by_q"], moves, *gradients, *across, *self.softness, data["R"], efforts)
+        moving = []  # columns of moves, and their rows
+        for left, on in zip((self.va, data["by_a"]), o.on_moves, strict=False):
+            moving += [left[on], np.ones(o.bearing), -data["U"][o.of_moves]]
+        entries = o.whole.data(data["by_q"], moves, *gradients, *across, *self.softness, data["R"], efforts, *moving)
         self._factor(o.whole.pattern.matrix(entries).T.copy())  # its own entries, which are made fewer
 
     def _softness(self, S: Array, first: int, units: Array | None) -> list[Array]:
@@ -153,7 +168,9 @@ class WholePencil:
     def solve(self, kin: Array, low: Array) -> tuple[Array, Array]:
         """As :meth:`.Pencil.solve` of all stages: increments dxi, dv side by side, (k, 2 n), and multipliers (k, ..)."""
         o, low, kin = self.structure, low.ravel(), kin.ravel()
-        rhs = -self.rows * (low + o.va.pattern.times(self.va, kin[None])[0])
+        rhs = np.zeros(len(self.rows))
+        rhs[: len(low)] = low + o.va.pattern.times(self.va, kin[None])[0]
+        rhs *= -self.rows
         y = self._back(rhs)
         left, size = self._left(rhs, y, o.size)
         if left > REFINED * size:
@@ -165,7 +182,7 @@ class WholePencil:
             left, size = self._left(rhs, y, o.n)
             if left > REFINED * size:
                 missing = rhs - self.matrix @ y
-                missing.reshape(o.stages, -1)[:, o.n :] = 0.0
+                missing[: len(low)].reshape(o.stages, -1)[:, o.n :] = 0.0
                 y = y + self._back(missing)
                 left, size = self._left(rhs, y, o.n)
         self.judge.check(left, size, OPEN_ROWS)
@@ -177,23 +194,25 @@ class WholePencil:
         if o.levels > 1:
             dv = dv + o.patterns["U"].times(self.data["U"], by_level[1].reshape(1, -1))[0]
         change = np.concatenate((dxi.reshape(k, n), dv.reshape(k, n)), axis=1)
-        efforts = z[k * (n + o.levels * m) :].reshape(k, o.ties)
+        efforts = z[o.ends[-1] : o.ends[-1] + k * o.ties].reshape(k, o.ties)
         return change, np.concatenate((*by_level, efforts), axis=1)
 
     def _open(self, y: Array) -> Array:
         """By what softness leaves rows open."""
-        o, open_rows = self.structure, np.zeros((self.structure.stages, self.structure.size))
+        o, every_row = self.structure, np.zeros(len(self.rows))
+        open_rows = every_row[: o.stages * o.size].reshape(o.stages, o.size)
         every = (self.columns * y)[o.ends[0] : o.ends[-1]].reshape(o.levels, -1)
         for i, (soft, one) in enumerate(zip(self.softness, every, strict=True)):
             open_rows[:, o.n + i * o.m : o.n + (i + 1) * o.m] = o.soft.times(soft, one[None])[0].reshape(o.stages, o.m)
-        return np.asarray(self.rows * open_rows.ravel())
+        return np.asarray(self.rows * every_row)
 
     def _back(self, b: Array) -> Array:
         return np.asarray(self.lu.solve(b.astype(self.matrix.dtype)))
 
     def _left(self, rhs: Array, y: Array, rows: int) -> tuple[float, float]:
         """Largest residual of the first rows of each stage, and its scale."""
-        left = np.abs(self.matrix @ y - rhs).reshape(self.structure.stages, -1)[:, :rows]
+        o = self.structure
+        left = np.abs(self.matrix @ y - rhs)[: o.stages * o.size].reshape(o.stages, -1)[:, :rows]
         size = np.abs(rhs).max(initial=0.0) + np.abs(y).max(initial=0.0)
         return float(left.max(initial=0.0)), float(size)
 

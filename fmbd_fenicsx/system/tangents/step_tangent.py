@@ -4,7 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from ...rotations import Array
+from ..sparsity import Pattern
+
+CROWDED = 3  # rows over coordinates of a body, above which its moves U mu take less as unknowns than what they couple
 
 
 @dataclass(frozen=True)
@@ -23,3 +28,8 @@ class StepTangent:
     by_a: Array
     R: Array
     slopes: Array
+
+
+def crowded(G: Pattern, M: Pattern) -> np.ndarray:
+    """Which coordinates are those of bodies where many joints meet, (n,)."""
+    return np.asarray(np.bincount(G.columns, minlength=G.shape[1]) > CROWDED * np.diff(M.start))

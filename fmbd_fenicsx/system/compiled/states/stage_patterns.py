@@ -4,7 +4,8 @@ With frequencies s, K = K0 + s K1 + s^2 K2, symbols as in linear/implicit/pencil
 
     K0 = [by_q - by_v J, G^T, by_v U, by_a U],     K1 = [by_v - by_a J, 0, by_a U, 0],     K2 = [by_a, 0, 0, 0]      (1)
 
-and behind these, beside stiff ties, [R^T; -1] in K0.
+and behind these, beside stiff ties, [R^T; -1] in K0. Where many joints meet at one body, G U would couple all of their rows: its
+moves w = U dmu, or U dtau, are unknowns of the factors then, with by_v, or by_a, for columns, and rows [-U, 1] in K0.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import numpy as np
 from ....kernel_cache import address_of, addresses_of
 from ....rotations import Array
 from ...sparsity import Pattern, Product
-from ...tangents.step_tangent import StepTangent
+from ...tangents.step_tangent import StepTangent, crowded
 from ..declarations import TABLES, structure_of
 from .couplings import Couplings
 from .exchange import Exchange
@@ -71,8 +72,8 @@ class TiedItems:
         """An order of elimination with efforts, unknowns from number ``first`` on, behind the first body of each spring: their
         compliance is a pivot there, however stiff the spring.
         """
-        place = np.argsort(order)
-        ends = [min(place[self._couplings.of_body[b]].max() for b in bodies) + 0.5 for bodies in self._bodies]
+        place = dict(zip(order.tolist(), range(len(order)), strict=True))
+        ends = [min(max(place[i] for i in self._couplings.of_body[b]) for b in bodies) + 0.5 for bodies in self._bodies]
         every = np.concatenate((np.arange(len(order), dtype=float), ends))
         return np.concatenate((order, first + np.arange(len(ends))))[np.argsort(every, kind="stable")]
 
@@ -115,32 +116,45 @@ class StageStructure:
         across, self._across = G.transposed()
         self.normal = Product(couplings.masses, across)
         self.turned = Product(self.low, couplings.turns, within=self.low)
-        self.crossed = Product(self.low, self.normal.pattern)
-        # rows that depend on each other are softened on the diagonal, where those of mu have entries
-        own = n + np.arange(m if count else 0)
-        diagonal = Pattern.of((self.size, m), own, own - n)
         pulling, self._across_ties = R.transposed()
-        efforts = Pattern.of((self.size, len(stiff)), self.behind + np.arange(len(stiff)), np.arange(len(stiff)))
-        blocks = [self.low, across, self.crossed.pattern, self.crossed.pattern][: 1 + count]
-        behind = [self.behind, self.behind]
-        self._lay_out([pulling, efforts, *blocks, diagonal], behind + [0, n, n + m, n + 2 * m][: 1 + count] + [n])
+
+        # moves as unknowns, behind all others
+        bears = crowded(G, couplings.masses)
+        self.moves, number, U = np.flatnonzero(bears), np.cumsum(bears) - 1, self.normal.pattern
+        first = self.size + len(self.moves) * np.arange(max(count - 1, 0))
+        self.all = self.size + len(self.moves) * len(first)
+        self.crossed = Product(self.low, U, through=~bears)
+        on, of = self._on_moves, self._of_moves = np.flatnonzero(bears[self.low.columns]), np.flatnonzero(bears[U.rows])
+
+        def diagonal(at: int, size: int) -> tuple[np.ndarray, np.ndarray]:
+            return (at + np.arange(size),) * 2
+
+        blocks = [(pulling.rows, self.behind + pulling.columns), diagonal(self.behind, len(stiff))]
+        blocks += [(self.low.rows, self.low.columns), (across.rows, n + across.columns)]
+        for level, at in enumerate(first, 1):
+            mu, crossed = n + level * m, self.crossed.pattern
+            blocks += [(crossed.rows, mu + crossed.columns), (self.low.rows[on], at + number[self.low.columns[on]])]
+            blocks += [diagonal(at, len(self.moves)), (at + number[U.rows[of]], mu + U.columns[of])]
+        # and what softens rows that depend on each other
+        self._lay_out([*blocks, diagonal(n, count * m)])
         formulas = states.tables.formulas
         self.laws = Pattern.of((formulas, 2), *np.indices((formulas, 2)).reshape(2, -1))
         self.frozen = np.zeros(len(self.normal.pattern))  # data of U where a step began
 
-        unknowns = [np.arange(n)[:, None], n + np.arange(m)[:, None] + m * np.arange(count)]
-        each = [*unknowns[0], *unknowns[1]]
+        each = [np.array([i]) for i in range(n)]
+        for i, move in enumerate(self.moves):
+            each[move] = np.array([move, *(first + i)])
+        each += [*(n + np.arange(m)[:, None] + m * np.arange(count))]
         order = np.concatenate([each[x] for x in couplings.order])
         self.order = self.ties.among(order, self.behind).astype(np.int32)
         self._tell(offsets)
 
-    def _lay_out(self, blocks: list[Pattern], offsets: list[int]) -> None:
-        """K of blocks side by side from these columns on: by columns, and where its entries stand among those of the blocks."""
-        rows = np.concatenate([block.rows for block in blocks])
-        columns = np.concatenate([block.columns + at for block, at in zip(blocks, offsets, strict=True)])
+    def _lay_out(self, blocks: list[tuple[np.ndarray, np.ndarray]]) -> None:
+        """K by columns, and where its entries stand among those of the blocks, rows and columns."""
+        rows, columns = map(np.concatenate, zip(*blocks, strict=True))
         self._taken = np.lexsort((rows, columns))
         self.row = rows[self._taken].astype(np.int32)
-        self.start = np.searchsorted(columns[self._taken], np.arange(self.size + 1)).astype(np.int32)
+        self.start = np.searchsorted(columns[self._taken], np.arange(self.all + 1)).astype(np.int32)
 
     def _tell(self, offsets: np.ndarray) -> None:
         """All of it for C."""
@@ -159,7 +173,9 @@ class StageStructure:
         levels = [low.places(at + G.rows, G.columns) for at in offsets]
         self.c = Patterns(
             n=self.n, m=self.m, size=self.size, levels=len(levels), pulls=self.pulls, frozen=self.frozen_at,
-            first=self.levels[0] if levels else 0, colours=colours,
+            first=self.levels[0] if levels else 0, colours=colours, moves=len(self.moves),
+            moving=len(self._on_moves), on_moves=self._address(self._on_moves),
+            along=len(self._of_moves), of_moves=self._address(self._of_moves),
             low=len(low), crossings=len(self.crossed.pattern), columns=len(self._taken), masses=len(couplings.masses),
             G_start=address_of(G.start), G_on=address_of(G.on), M_start=address_of(couplings.masses.start),
             ties=self.ties.address, R_start=address_of(self.ties.rows.start), R_on=address_of(self.ties.rows.on),

@@ -88,13 +88,13 @@ class StageRoom(PointRoom):
     def __init__(self, structure: StageStructure, frequencies: int, points: int) -> None:
         states = structure.states
         self.structure, self.states = structure, states
-        n, m, size, entries = structure.n, structure.m, structure.size, len(structure.row)
+        n, m, size, entries, every = structure.n, structure.m, structure.size, len(structure.row), structure.all
         p, k, multipliers = frequencies, points, size - structure.n
         self.kept: list[Any] = [structure]
         self._units = structure.couplings.system.multiplier_units
 
         c = self.c = Stages(
-            n=n, m=m, size=size, levels=len(structure.levels), frequencies=p, points=k, entries=entries,
+            n=n, m=m, size=size, all=every, levels=len(structure.levels), frequencies=p, points=k, entries=entries,
             frames=states.tables.system.motions.n_twist * len(states.tables.system.frame_names),
             pulls=structure.pulls, frozen=structure.frozen_at,
             first=structure.first, ties=structure.ties.address,
@@ -102,10 +102,10 @@ class StageRoom(PointRoom):
         )  # fmt: skip
 
         sizes: Sizes = {
-            "K0": entries, "K1": entries, "K2": entries, "s": (p, 2), "A": (p, 2 * entries), "scales": (p, 2, size),
+            "K0": entries, "K1": entries, "K2": entries, "s": (p, 2), "A": (p, 2 * entries), "scales": (p, 2, every),
             "sizes": entries, "blocks": entries, "data": structure.count,
             "softness": m, "soft": (p, 2 * size), "faint": (2 * (CLOSING + 1), multipliers),
-            "x": 2 * size, "right": (4, 2 * size), "mixed": 6 * n + 4 * size,
+            "x": 2 * every, "right": (4, 2 * every), "mixed": 6 * n + 4 * size,
             "t": k, "q0": states.tables.system.n_q, "xi": (k, n), "rate": (k, n), "v": (k, n), "vd": (k, n),
             "mult": (k, max(multipliers, m)), "couple": (k, k), "inverse": (p, k, 2), "vectors": (k, p, 2), "past": k * ENDINGS,
             "ends": ENDINGS, "kin": (k, n), "low": (k, size), "dxi": (k, n), "dv": (k, n), "dmult": (k, max(multipliers, 1)),
@@ -133,10 +133,10 @@ class StageRoom(PointRoom):
             self.arrays[name] = self.arrays[name].reshape(-1)[: k * multipliers].reshape(k, multipliers)
 
         for name in ("stack", "mark", "found"):
-            setattr(c, name, self._integers(size, np.int32))
-        c.next = self._integers(size, np.int64)
+            setattr(c, name, self._integers(every, np.int32))
+        c.next = self._integers(every, np.int64)
         self._count_moving()
-        self.address, self._room = ctypes.addressof(c), FILLED * entries + 2 * size
+        self.address, self._room = ctypes.addressof(c), FILLED * entries + 2 * every
         self._make_room()
 
     def _integers(self, count: int, kind: Any) -> int:
@@ -146,7 +146,7 @@ class StageRoom(PointRoom):
 
     def _make_room(self) -> None:
         """Room for L and U of each frequency."""
-        size, room = self.structure.size, self._room
+        size, room = self.structure.all, self._room
         self.lower = (Lower * self.c.frequencies)()
         self._factors: list[np.ndarray] = []  # that C writes
         for one in self.lower:

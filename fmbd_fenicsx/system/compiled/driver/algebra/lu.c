@@ -34,7 +34,7 @@ static int NAME(reach)(const Stages *o, const Lower *f, int row, int mark, int t
 static int NAME(decompose)(const Stages *o, const NUMBER *A, Lower *f)
 {
     NUMBER *L = (NUMBER *)f->L, *U = (NUMBER *)f->U, *pivots = (NUMBER *)f->pivot, *x = (NUMBER *)o->x;
-    const int n = o->size;
+    const int n = o->all;
     long lower = 0, upper = 0;
     for (int i = 0; i < n; i++) {
         f->place[i] = o->mark[i] = -1;
@@ -48,7 +48,7 @@ static int NAME(decompose)(const Stages *o, const NUMBER *A, Lower *f)
         if (lower + n > o->room || upper + n > o->room) return SIZE;
         for (int p = o->start[column]; p < o->start[column + 1]; p++) {
             if (o->mark[o->row[p]] != k) top = NAME(reach)(o, f, o->row[p], k, top);
-            x[o->row[p]] = A[p];
+            x[o->row[p]] += A[p];
         }
 
         double largest = 0.0;
@@ -92,13 +92,13 @@ static void NAME(substitute)(const Stages *o, const Lower *f, const NUMBER *b, N
 {
     const NUMBER *L = (NUMBER *)f->L, *U = (NUMBER *)f->U, *pivots = (NUMBER *)f->pivot;
     NUMBER *x = (NUMBER *)o->x;
-    for (int i = 0; i < o->size; i++) x[f->place[i]] = b[i];
-    for (int k = 0; k < o->size; k++) {
+    for (int i = 0; i < o->all; i++) x[f->place[i]] = b[i];
+    for (int k = 0; k < o->all; k++) {
         NUMBER c = x[k];
         for (long p = f->L_start[k]; p < f->L_start[k + 1]; p++) x[f->L_row[p]] -= L[p] * c;
     }
 
-    for (int k = o->size - 1; k >= 0; k--) {
+    for (int k = o->all - 1; k >= 0; k--) {
         NUMBER c = x[k] / pivots[k];
         y[o->order[k]] = c;
         for (long p = f->U_start[k]; p < f->U_start[k + 1]; p++) x[f->U_row[p]] -= U[p] * c;
@@ -113,8 +113,9 @@ static void NAME(soften)(const Stages *o, NUMBER s, NUMBER *A, NUMBER *soft)
     for (int j = o->n; j < o->n + o->levels * o->m; j++) {
         int lambda = j < o->n + o->m;
         soft[j] = (lambda ? pulled : 1.0) * o->softness[(j - o->n) % o->m];
-        for (int p = o->start[j]; p < o->start[j + 1]; p++)
-            if (o->row[p] == j) A[p] += soft[j];
+        int p = o->start[j];
+        while (o->row[p] != j) p++;
+        A[p] += soft[j];
     }
 }
 
@@ -130,7 +131,7 @@ static int NAME(factorise)(const Stages *o, int f, NUMBER s, NUMBER *A, double *
     if (o->units) NAME(soften)(o, s, A, soft);
     for (long p = 0; p < o->entries; p++) o->sizes[p] = ABSOLUTE(A[p]);
     balance(o, rows, columns);
-    for (int j = 0; j < o->size; j++)
+    for (int j = 0; j < o->all; j++)
         for (int p = o->start[j]; p < o->start[j + 1]; p++) A[p] *= rows[o->row[p]] * columns[j];
     for (int j = o->n; o->units && j < o->size; j++) soft[j] *= rows[j] * columns[j];
     return NAME(decompose)(o, A, o->lower + f);
@@ -151,10 +152,10 @@ static double NAME(remainder)(const Stages *o, const NUMBER *A, const NUMBER *ri
                               double *scale)
 {
     double most = 0.0, given = 0.0, found = 0.0;
-    for (int i = 0; i < o->size; i++) left[i] = right[i];
-    for (int j = 0; j < o->size; j++)
+    for (int i = 0; i < o->all; i++) left[i] = right[i];
+    for (int j = 0; j < o->all; j++)
         for (int p = o->start[j]; p < o->start[j + 1]; p++) left[o->row[p]] -= A[p] * y[j];
-    for (int i = 0; i < o->size; i++) {
+    for (int i = 0; i < o->all; i++) {
         double size = ABSOLUTE(left[i]);
         if (i < rows && !(size <= most)) most = size; /* nan stays */
         given = fmax(given, ABSOLUTE(right[i]));
@@ -179,18 +180,19 @@ static void NAME(of_softness)(void *of, double times, const double *mult, double
     const Stages *o = found->o;
     const long N = sizeof(NUMBER) / sizeof(double);
     const NUMBER *soft = (const NUMBER *)(o->soft + (long)found->f * 2 * o->size), *given = (const NUMBER *)mult;
-    NUMBER *open = (NUMBER *)(o->right + 2 * N * o->size), *more = open + o->size;
-    for (int i = 0; i < o->size; i++) open[i] = i < o->n ? 0.0 : -times * soft[i] * given[i - o->n];
+    NUMBER *open = (NUMBER *)(o->right + 2 * N * o->all), *more = open + o->all;
+    for (int i = 0; i < o->all; i++) open[i] = i < o->n || i >= o->size ? 0.0 : -times * soft[i] * given[i - o->n];
     NAME(substitute)(o, o->lower + found->f, open, more);
     memcpy(made, more + o->n, (o->size - o->n) * sizeof(NUMBER));
-    for (int i = 0; keep && i < o->n; i++) found->y[i] += more[i];
+    for (int i = 0; keep && i < o->all; i++)
+        if (i < o->n || i >= o->size) found->y[i] += more[i];
 }
 
 /* A solution y with the corrections of soften(); levels of multipliers count by how soft their rows are. */
 static void NAME(correct_softened)(const Stages *o, int f, NUMBER *y)
 {
     const int N = sizeof(NUMBER) / sizeof(double), m = N * (o->size - o->n);
-    const double *rows = o->scales + (long)f * 2 * o->size, *columns = rows + o->size;
+    const double *rows = o->scales + (long)f * 2 * o->all, *columns = rows + o->all;
     const NUMBER *soft = (const NUMBER *)(o->soft + (long)f * 2 * o->size);
     double *weight = o->faint + CLOSING * m;
     for (int i = 0; i < m; i++) {
@@ -209,30 +211,30 @@ static void NAME(resolve)(const Stages *o, int f, const NUMBER *kin, const NUMBE
     const int n = o->n;
     const long N = sizeof(NUMBER) / sizeof(double);
     const NUMBER *A = (NUMBER *)(o->A + f * 2 * o->entries), s = FREQUENCY(o->s + 2 * f);
-    const double *rows = o->scales + (long)f * 2 * o->size, *columns = rows + o->size;
-    NUMBER *right = (NUMBER *)o->right, *y = (NUMBER *)(o->right + N * o->size), *left = (NUMBER *)(o->right + 2 * N * o->size);
-    NUMBER *more = (NUMBER *)(o->right + 3 * N * o->size);
+    const double *rows = o->scales + (long)f * 2 * o->all, *columns = rows + o->all;
+    NUMBER *right = (NUMBER *)o->right, *y = (NUMBER *)(o->right + N * o->all), *left = (NUMBER *)(o->right + 2 * N * o->all);
+    NUMBER *more = (NUMBER *)(o->right + 3 * N * o->all);
 
-    for (int i = 0; i < o->size; i++) right[i] = 0.0;
+    for (int i = 0; i < o->all; i++) right[i] = 0.0;
     NAME(apply)(&o->by_a, 1.0, kin, right);
     for (int i = 0; i < o->size; i++) right[i] = low[i] + s * right[i];
     NAME(apply)(&o->by_v, 1.0, kin, right);
     for (int i = 0; i < o->size; i++) right[i] *= -rows[i];
 
     NAME(substitute)(o, o->lower + f, right, y);
-    judged[0] = NAME(remainder)(o, A, right, y, left, o->size, judged + 1);
+    judged[0] = NAME(remainder)(o, A, right, y, left, o->all, judged + 1);
     if (judged[0] > REFINE * judged[1]) {
         NAME(substitute)(o, o->lower + f, left, more);
-        for (int i = 0; i < o->size; i++) y[i] += more[i];
-        judged[0] = NAME(remainder)(o, A, right, y, left, o->size, judged + 1);
+        for (int i = 0; i < o->all; i++) y[i] += more[i];
+        judged[0] = NAME(remainder)(o, A, right, y, left, o->all, judged + 1);
     }
     if (o->units) { /* rows that contradict each other stay open */
         NAME(correct_softened)(o, f, y);
         judged[0] = NAME(remainder)(o, A, right, y, left, o->n, judged + 1);
         if (judged[0] > REFINE * judged[1]) {
-            for (int i = o->n; i < o->size; i++) left[i] = 0.0;
+            for (int i = o->n; i < o->all; i++) left[i] = 0.0;
             NAME(substitute)(o, o->lower + f, left, more);
-            for (int i = 0; i < o->size; i++) y[i] += more[i];
+            for (int i = 0; i < o->all; i++) y[i] += more[i];
             judged[0] = NAME(remainder)(o, A, right, y, left, o->n, judged + 1);
         }
     }

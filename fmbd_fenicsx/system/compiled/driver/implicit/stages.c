@@ -18,7 +18,8 @@ typedef struct {
 } Lower;
 
 typedef struct {
-    int n, m, size, levels, frequencies, points, first, corrections; /* size: unknowns; first: of the levels of rows */
+    int n, m, size, all, levels, frequencies, points, first, corrections; /* size: unknowns; all: with those that only factors have;
+                                                                             first: of the levels of rows */
     int frames;                     /* of n, those of twists of bodies */
     double pulls[2];                /* of the form, see Form */
     int *start, *row, *order;       /* K by columns; order of elimination */
@@ -63,14 +64,14 @@ static double power(double x) { return x > 0.0 ? exp2(rint(log2(x))) : 1.0; }
 static void balance(const Stages *o, double *rows, double *columns)
 {
     double *most = o->x; /* of rows */
-    for (int i = 0; i < o->size; i++) rows[i] = columns[i] = 1.0;
+    for (int i = 0; i < o->all; i++) rows[i] = columns[i] = 1.0;
     for (int sweep = 0; sweep < 3; sweep++) {
-        for (int i = 0; i < o->size; i++) most[i] = 0.0;
-        for (int j = 0; j < o->size; j++)
+        for (int i = 0; i < o->all; i++) most[i] = 0.0;
+        for (int j = 0; j < o->all; j++)
             for (int p = o->start[j]; p < o->start[j + 1]; p++) most[o->row[p]] = fmax(most[o->row[p]], o->sizes[p]);
-        for (int i = 0; i < o->size; i++) rows[i] /= most[i] = power(sweep < 2 ? sqrt(most[i]) : most[i]);
+        for (int i = 0; i < o->all; i++) rows[i] /= most[i] = power(sweep < 2 ? sqrt(most[i]) : most[i]);
 
-        for (int j = 0; sweep < 2 && j < o->size; j++) {
+        for (int j = 0; sweep < 2 && j < o->all; j++) {
             double largest = 0.0;
             for (int p = o->start[j]; p < o->start[j + 1]; p++) largest = fmax(largest, o->sizes[p] /= most[o->row[p]]);
             largest = power(sqrt(largest));
@@ -149,9 +150,9 @@ EXPORT int driver_stage_factors(Stages *o, const Patterns *patterns, const doubl
     powers(patterns, data, o->blocks, K);
     if (o->units) soften_rows(o);
     for (int f = 0; f < o->frequencies; f++) {
-        double *A = o->A + f * 2 * o->entries, *rows = o->scales + (long)f * 2 * o->size, *s = o->s + 2 * f;
-        int verdict = s[1] == 0.0 ? factorise_real(o, f, *s, A, rows, rows + o->size)
-                                  : factorise_complex(o, f, *(double complex *)s, (double complex *)A, rows, rows + o->size);
+        double *A = o->A + f * 2 * o->entries, *rows = o->scales + (long)f * 2 * o->all, *s = o->s + 2 * f;
+        int verdict = s[1] == 0.0 ? factorise_real(o, f, *s, A, rows, rows + o->all)
+                                  : factorise_complex(o, f, *(double complex *)s, (double complex *)A, rows, rows + o->all);
         if (verdict) return verdict;
     }
     return DONE;

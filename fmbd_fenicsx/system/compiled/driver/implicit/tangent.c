@@ -12,7 +12,7 @@ typedef struct {
 
 /* Where data have their entries. */
 typedef struct {
-    int n, m, size, levels, first, colours;
+    int n, m, size, levels, first, colours, moves; /* moves: of coordinates, that are unknowns of factors on each level behind the first */
     Ties *ties;                       /* of the unknowns behind the multipliers */
     double pulls[2];                  /* of the form, see Form */
     long low, crossings, columns;     /* entries of the lower rows, of their products with U, of K */
@@ -22,6 +22,7 @@ typedef struct {
     long *coloured_start, *coloured;  /* entries of the lower rows by the number that moves them */
     long *row, *column, masses, *of_masses, *of_level, *of_ties;
     long *taken;                      /* entries of K among those of its blocks side by side */
+    long moving, along, *on_moves, *of_moves; /* entries of the lower rows on coordinates with such moves, and of U there */
     Product normal, turned, crossed;
     long J, M, G, U, by_q, by_v, by_a, slopes, R; /* where each matrix begins among the data of a tangent */
     const double *frozen;             /* data of U where steps keep it, else NULL */
@@ -304,7 +305,7 @@ EXPORT int driver_stage_tangent(System *s, const Patterns *o, double length, dou
     return DONE;
 }
 
-/* K0, K1 and K2 of (1). ``room``: blocks of K side by side. */
+/* K0, K1 and K2 of (1). ``room``: blocks of K side by side, zero behind all that is written here. */
 static void powers(const Patterns *o, const double *data, double *room, double *const K[3])
 {
     const double *by[3] = {data + o->by_q, data + o->by_v, data + o->by_a}, *G = data + o->G;
@@ -315,14 +316,20 @@ static void powers(const Patterns *o, const double *data, double *room, double *
         for (long i = 0; i < pulling; i++) room[i] = k ? 0.0 : data[o->R + o->across_ties[i]];
         for (long i = pulling; i < pulling + ties; i++) room[i] = k ? 0.0 : -1.0;
 
-        double *low = room + pulling + ties, *across = low + o->low, *crossed = across + count, *pushed = crossed + o->crossings;
+        double *low = room + pulling + ties, *across = low + o->low, *crossed = across + count;
         memcpy(low, by[k], o->low * sizeof(double));
         if (DIM == 3 && k < 2) multiply(&o->turned, -1.0, by[k + 1], data + o->J, low);
         for (long i = 0; i < count; i++) across[i] = k ? 0.0 : G[o->across[i]];
-        if (o->levels > 1) memset(crossed, 0, o->crossings * sizeof(double));
-        if (o->levels > 1 && k < 2) multiply(&o->crossed, 1.0, by[k + 1], data + o->U, crossed);
-        if (o->levels > 2) memset(pushed, 0, o->crossings * sizeof(double));
-        if (o->levels > 2 && !k) multiply(&o->crossed, 1.0, by[2], data + o->U, pushed);
+        for (int level = 1; level < o->levels; level++) {
+            const double *by_move = k + level < 3 ? by[k + level] : NULL;
+            double *moving = crossed + o->crossings, *own = moving + o->moving, *along = own + o->moves;
+            memset(crossed, 0, o->crossings * sizeof(double));
+            if (by_move) multiply(&o->crossed, 1.0, by_move, data + o->U, crossed);
+            for (long i = 0; i < o->moving; i++) moving[i] = by_move ? by_move[o->on_moves[i]] : 0.0;
+            for (int i = 0; i < o->moves; i++) own[i] = !k;
+            for (long i = 0; i < o->along; i++) along[i] = k ? 0.0 : -data[o->U + o->of_moves[i]];
+            crossed = along + o->along;
+        }
         for (long i = 0; i < o->columns; i++) K[k][i] = room[o->taken[i]];
     }
 }
