@@ -19,9 +19,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
 
 from ..errors import InputError, LinearSolveError, require
+from ..matrices import dense
 from ..mechanics.placements import Approach
 from ..rotations import Array
 from ..system.evaluation import Evaluation
@@ -238,12 +238,12 @@ class StepSolver:
         self.blocks = self.elastic.of(ev.jacobian, w, ties_apart=ties_apart, splits=self.split is not None)
         fields = FieldCouplings.of(ev, w, self.blocks, self.corotations, border)
 
-        A = A.toarray() if sp.issparse(A) else A.copy()
         if self.whole:
             self._refuse_redundant()
-            self.split.prepare(fields, A)
+            self.split.prepare(fields, dense(A).copy())
             return Whole(border, self.split.solve)
         if self.iterated is not None:
+            A = dense(A).copy()
             self.iterated.prepare(ev, w, A)
             nothing = [None] * len(self.blocks)
             return TiesIterated(Condensed(fields, self.core, A, self.iterated.direct, nothing), self.iterated)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 
 from ..matrices import dense
 from ..rotations import Array
@@ -16,9 +17,35 @@ from .border import Border
 
 
 @dataclass(frozen=True, eq=False)
+class FieldCoupling:
+    """The rows of S of one field, (inertia columns + used ports, n_core + n_lam), by its few columns that are not zero.
+
+    ``on``: their numbers (k,), each once; ``entries``: (.., k).
+    """
+
+    on: np.ndarray
+    entries: Array
+
+    def times(self, x: Array) -> Array:
+        """S x of a vector or of columns."""
+        return np.asarray(self.entries @ x[self.on])
+
+    def pass_on(self, seen: Array, to: Array) -> None:
+        """Take S^T seen off a vector or columns."""
+        to[self.on] -= self.entries.T @ seen
+
+    def part(self, first: int, end: int) -> Array:
+        """The columns from ``first`` up to ``end``, zeros too."""
+        here = (self.on >= first) & (self.on < end)
+        out = np.zeros((len(self.entries), end - first))
+        out[:, self.on[here] - first] = self.entries[:, here]
+        return out
+
+
+@dataclass(frozen=True, eq=False)
 class FieldCouplings:
     """The fields of a state: their ``blocks``, the rotations T of the factors in these (None of those that do not turn), and S as
-    ``couplings`` (inertia columns + used ports, n_core + n_lam); ``jacobian`` is G, ``border`` that of force elements on them.
+    ``couplings``; ``jacobian`` is G, ``border`` that of force elements on them.
     """
 
     system: Layout
@@ -27,58 +54,71 @@ class FieldCouplings:
     blocks: list[FactoredField]
     corotations: list[Any]
     border: Border
-    couplings: list[Array]
+    couplings: list[FieldCoupling]
 
     @classmethod
     def of(
         cls, ev: Evaluation, weights: Weights, blocks: list[FactoredField], corotations: list[Any], border: Border
     ) -> FieldCouplings:
         """Those of a state."""
-        couplings = [
-            _coupling(ev, i, weights.cm, block, T) for i, (block, T) in enumerate(zip(blocks, corotations, strict=True))
-        ]
+        port = ev.jacobian.port
+        port = port.tocsc() if sp.issparse(port) else port
+        pairs = enumerate(zip(blocks, corotations, strict=True))
+        couplings = [_coupling(ev, i, weights.cm, block, T, port) for i, (block, T) in pairs]
         return cls(ev.system, ev.jacobian, weights, blocks, corotations, border, couplings)
 
-    def with_border(self, direct: Any) -> tuple[list[Array], list[Array]]:
+    def with_border(self, direct: Any) -> tuple[list[FieldCoupling], list[FieldCoupling]]:
         """S of all fields with the rows ``direct`` of constraints and those of the border: as their balance sees the core, and as
         the core sees it.
         """
-        n = self.system.n_core
-        every = isinstance(direct, slice)  # copies for all of many bodies would take the square of their number
-        own = self.couplings if every else [np.append(S[:, :n], S[:, n:][:, direct], axis=1) for S in self.couplings]
+        n, every = self.system.n_core, np.arange(self.system.n_core + self.system.n_lam)
+        held = np.append(every[:n], every[n:][direct])
+        number = np.full(len(every), -1)
+        number[held] = np.arange(len(held))
+
+        own = []
+        for S in self.couplings:
+            on = number[S.on]
+            own.append(S if len(held) == len(every) else FieldCoupling(on[on >= 0], S.entries[:, on >= 0]))
         if not self.border.count:
             return own, own
-        pairs = [self._bordered(i, S) for i, S in enumerate(own)]
+        pairs = [self._bordered(i, S, len(held)) for i, S in enumerate(own)]
         return [S for S, _ in pairs], [R for _, R in pairs]
 
-    def _bordered(self, i: int, S: Array) -> tuple[Array, Array]:
-        """S of field i with the rows of the border, as its balance sees them and as the others see it."""
+    def _bordered(self, i: int, S: FieldCoupling, first: int) -> tuple[FieldCoupling, FieldCoupling]:
+        """S of field i with the rows of the border, from number ``first`` on: as its balance sees them, and as others see it."""
         used = self.blocks[i].used
-        inertia = np.zeros((len(S) - len(used), self.border.count))
         sides = self.border.on_ports(self.system.fields[i][0], used)
-        left, right = (np.concatenate((inertia, _turned_ports(self.corotations[i], x))) for x in sides)
-        return np.concatenate((S, left), axis=1), np.concatenate((S, right), axis=1)
+        met = np.flatnonzero(np.any([x.any(axis=0) for x in sides], axis=0))
+        inertia, on = np.zeros((len(S.entries) - len(used), len(met))), np.append(S.on, first + met)
+        left, right = (np.concatenate((inertia, _turned_ports(self.corotations[i], x[:, met]))) for x in sides)
+        return FieldCoupling(on, np.append(S.entries, left, axis=1)), FieldCoupling(
+            on, np.append(S.entries, right, axis=1)
+        )
 
 
-def _coupling(ev: Evaluation, i: int, cm: float, block: FactoredField, T: Any) -> Array:
-    """S of field i."""
+def _coupling(ev: Evaluation, i: int, cm: float, block: FactoredField, T: Any, port: Any) -> FieldCoupling:
+    """S of field i; ``port``: rows of constraints on the ports of all parts."""
     s = ev.system
     k, f = s.fields[i]
     c, d = f.inertia_columns.shape[1], s.motions.dim
-    S = np.zeros((c + len(block.used), s.n_core + s.n_lam))
-
-    if c:  # the twist of its frame: translations in world axes, rotations in body axes
-        at = f.frame * c
-        S[:d, at : at + d] = cm * ev.rotation[f.frame].T
-        S[d:c, at + d : at + c] = cm * np.eye(c - d)
-    if f.shared_columns:
-        rows = s.frame_rows[k]
-        S[:c, s.n_core + rows.start : s.n_core + rows.stop] = np.eye(c)
-
     ports = s.port_slice(k).start + block.used
-    S[c:, s.n_core :] = dense(ev.jacobian.port[:, ports]).T
+    joints = port[:, ports]
+    own = np.unique(joints.indices) if sp.issparse(joints) else np.flatnonzero(joints.any(axis=1))
+    rows = s.frame_rows[k] if f.shared_columns else range(0)
+    held = np.union1d(own, np.arange(rows.start, rows.stop)).astype(int)
+
+    on = np.append(f.frame * c + np.arange(c), s.n_core + held)
+    S = np.zeros((c + len(block.used), len(on)))
+    if c:  # the twist of its frame: translations in world axes, rotations in body axes
+        S[:d, :d] = cm * ev.rotation[f.frame].T
+        S[d:c, d:c] = cm * np.eye(c - d)
+    if f.shared_columns:
+        first = c + int(np.searchsorted(held, rows.start))
+        S[:c, first : first + c] = np.eye(c)
+    S[c:, c:] = dense(joints[held]).T
     S[c:] = _turned_ports(T, S[c:])
-    return S
+    return FieldCoupling(on, S)
 
 
 def _turned_ports(T: Any, rows: Array) -> Array:

@@ -57,30 +57,36 @@ class Condensed(Prepared):
     as the core sees it.
     """
 
-    def __init__(self, fields: FieldCouplings, core: CoreSolver, A: Array, direct: Any, momenta: list[Any]) -> None:
+    def __init__(self, fields: FieldCouplings, core: CoreSolver, A: Any, direct: Any, momenta: list[Any]) -> None:
         """``A``: of the core; ``direct``: the constraint rows that it holds; ``momenta``: of each field what its constant columns
         leave out of the moments of inertia, None where that is not corrected.
         """
         self.fields, self.core, self.momenta, self.system = fields, core, momenta, fields.system
         self.couplings, self.back_couplings = fields.with_border(direct)
-        self._factor(A, dense(fields.jacobian.core)[direct])
+        self._factor(A, fields.jacobian.core[direct])
 
-    def _factor(self, A: Array, joints: Array) -> None:
+    def _factor(self, A: Any, joints: Any) -> None:
         """Factor A - S^T W S of (1), with the constraint rows held by the core and the rows of the border."""
         n, border = self.system.n_core, self.fields.border
         left, right = border.on_core()
-        lower, upper = np.concatenate((joints, right)), np.concatenate((joints.T, left), axis=1)
-        C = np.diag(np.repeat((0.0, -1.0), (len(joints), border.count)))
-        whole = np.block([[dense(A), upper], [lower, C]])
-        whole = whole.astype(np.result_type(whole, *(block.W for block in self.fields.blocks)), copy=False)
+        size = n + joints.shape[0] + border.count
+        sides = zip(self.fields.blocks, self.couplings, self.back_couplings, strict=True)
+        seen = [(S.on, -block.seen_by(R.entries, S.entries)) for block, S, R in sides]
 
         # a field sees little of the core
-        for block, S, R in zip(self.fields.blocks, self.couplings, self.back_couplings, strict=True):
-            to, on = (np.flatnonzero(x.any(axis=0)) for x in (R, S))
-            whole[to[:, None], on] -= block.seen_by(R[:, to], S[:, on])
-        of_many = len(whole) > MANY and np.count_nonzero(whole) < FEW * whole.size
-        parts = whole[:n, :n], whole[n:, :n], whole[n:, n:], whole[:n, n:]
-        self.core.factor(*(map(sp.csr_array, parts) if of_many else parts))
+        if size > MANY:
+            whole: Any = _sparse(A, joints, border, seen)
+            if whole.nnz >= FEW * size**2:
+                whole = whole.toarray()
+        else:
+            joints = dense(joints)
+            lower, upper = np.concatenate((joints, right)), np.concatenate((joints.T, left), axis=1)
+            C = np.diag(np.repeat((0.0, -1.0), (len(joints), border.count)))
+            whole = np.block([[dense(A), upper], [lower, C]])
+            whole = whole.astype(np.result_type(whole, *(x for _, x in seen)), copy=False)
+            for on, entries in seen:
+                whole[on[:, None], on] += entries
+        self.core.factor(whole[:n, :n], whole[n:, :n], whole[n:, n:], whole[:n, n:])
 
     def solve(self, b: Array, c: Array) -> tuple[Array, Array]:
         """As :meth:`Prepared.solve`; c of the rows that the core holds."""
@@ -104,9 +110,9 @@ class Condensed(Prepared):
             local = [rotate_nodal(s.local_v(b, k), T, back=True) for (k, _), T in zip(s.fields, turns, strict=True)]
             zs = [block.factor.solve(x) for block, x in zip(blocks, local, strict=True)]
             for S, seen in zip(self.back_couplings, self._projected(zs), strict=True):
-                rhs -= S.T @ seen
+                S.pass_on(seen, rhs)
         x = np.concatenate(core(rhs[:n], rhs[n:]))
-        parts = [z - block.Y @ (S @ x) for S, block, z in zip(self.couplings, blocks, zs, strict=True)]
+        parts = [z - block.Y @ S.times(x) for S, block, z in zip(self.couplings, blocks, zs, strict=True)]
 
         # Moments that the constant columns of inertia leave out: a second solve with the core's factor, no back-solve.
         moments = self._moments_left_out(parts)
@@ -114,7 +120,7 @@ class Condensed(Prepared):
             more = np.concatenate(core(moments, np.zeros((len(x) - n, *columns))))
             x += more
             for part, S, block in zip(parts, self.couplings, blocks, strict=True):
-                part -= block.Y @ (S @ more)
+                part -= block.Y @ S.times(more)
 
         local = [rotate_nodal(part, T) for part, T in zip(parts, turns, strict=True)]
         return np.concatenate([x[:n], *local]), x[n : n + len(c)]
@@ -146,6 +152,21 @@ class Condensed(Prepared):
                 at = f.frame * m.n_twist
                 out[at + m.dim : at + m.n_twist] -= self.fields.weights.cm * moment
         return out
+
+
+def _sparse(A: Any, joints: Any, border: Border, seen: list[tuple[np.ndarray, Array]]) -> Any:
+    """[A, G^T, L; G, 0, 0; R^T, 0, -1] with what the core sees of fields added: entries on the same rows and columns."""
+    left, right = map(sp.csr_array, border.on_core())
+    A, joints, size = sp.csr_array(A), sp.csr_array(joints), A.shape[0] + joints.shape[0] + border.count
+    none = sp.csr_array((joints.shape[0], border.count))
+    held = sp.csr_array((joints.shape[0],) * 2), none, none.T, -sp.eye_array(border.count)
+    whole = sp.block_array([[A, joints.T, left], [joints, *held[:2]], [right, *held[2:]]], format="csr")
+
+    rows = np.concatenate([np.repeat(on, len(on)) for on, _ in seen])
+    columns = np.concatenate([np.tile(on, len(on)) for on, _ in seen])
+    total = whole + sp.csr_array((np.concatenate([x.ravel() for _, x in seen]), (rows, columns)), shape=(size, size))
+    total.eliminate_zeros()
+    return total
 
 
 class TiesIterated(Prepared):

@@ -128,9 +128,9 @@ class Compliance(Remembering):
         rhs = np.zeros((n + solver.system.n_lam + prepared.fields.border.count, m))
         rhs[:n] = core.T
         for R, x in zip(prepared.back_couplings, seen, strict=True):
-            rhs -= R.T @ x.T
+            R.pass_on(x.T, rhs)
         X = self._core(rhs)
-        return X[:n].T, [(S @ X).T for S in prepared.couplings]
+        return X[:n].T, [S.times(X).T for S in prepared.couplings]
 
     def _by_solves(self, rows: LinearRows) -> Array:
         """W of (1), (m, m), by one solve of the step for each row: where the matrix is not eliminated block by block."""

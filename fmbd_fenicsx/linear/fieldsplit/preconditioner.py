@@ -13,6 +13,7 @@ from ...rotations import Array
 from ..blocks.elastic_blocks import Elastic
 from ..blocks.field_blocks import Weights
 from ..blocks.spd import FieldFactor
+from ..field_couplings import FieldCoupling
 from ..iterated_multipliers import SceneTies
 from ..residual import Judge
 from ..rigid_modes import elastic_matrix
@@ -82,7 +83,7 @@ class Preconditioner:
     Collective throughout. It gives the layout the units of its blocks.
     """
 
-    def __init__(self, matrix: StepMatrix, couplings: list[Array], weights: Weights, multiplier: Any) -> None:
+    def __init__(self, matrix: StepMatrix, couplings: list[FieldCoupling], weights: Weights, multiplier: Any) -> None:
         layout = matrix.layout
         first = layout.first
         frame = positive(matrix.A)
@@ -126,7 +127,7 @@ class _Ties:
             S += BR @ np.linalg.solve(gram, BR.T)
 
 
-def _complements(frame: Array, matrix: StepMatrix, couplings: list[Array], ties: _Ties) -> list[sp.csr_matrix]:
+def _complements(frame: Array, matrix: StepMatrix, couplings: list[FieldCoupling], ties: _Ties) -> list[sp.csr_matrix]:
     """S~_j of (2), one for each block of rows, replicated; collective."""
     n = matrix.layout.system.n_core
     core = dense(matrix.G.core)
@@ -137,7 +138,7 @@ def _complements(frame: Array, matrix: StepMatrix, couplings: list[Array], ties:
         S = core[rows] @ np.linalg.solve(frame, core[rows].T) if n else np.zeros((count, count))
         # fields answer by the constant columns of their ports
         for block, coupling in zip(matrix.blocks, couplings, strict=True):
-            part = coupling[:, n + rows.start : n + rows.stop]
+            part = coupling.part(n + rows.start, n + rows.stop)
             S += part.T @ block.W @ part
         ties.add(S, rows)
         out.append(sp.csr_matrix(positive(S)))

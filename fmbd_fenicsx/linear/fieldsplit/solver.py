@@ -26,7 +26,7 @@ from ...rotations import Array
 from ...system.system import System
 from ..blocks.elastic_blocks import Cholesky
 from ..blocks.field_blocks import Weights
-from ..field_couplings import FieldCouplings
+from ..field_couplings import FieldCoupling, FieldCouplings
 from ..iterated_multipliers import CHANGED
 from ..options import check_options, set_from_options
 from ..residual import Judge, KrylovTest
@@ -73,7 +73,7 @@ class SplitSolver:
         self._refuse_unsymmetric(A)
         n = self.system.n_core
         pairs = zip(fields.couplings, self.system.fields, strict=True)
-        twists = [S[: f.inertia_columns.shape[1], :n] for S, (_, f) in pairs]
+        twists = [S.part(0, n)[: f.inertia_columns.shape[1]] for S, (_, f) in pairs]
         self.matrix = StepMatrix(self.layout, A, fields.jacobian, twists, fields.blocks, fields.corotations)
 
         made = tuple(b.factor for b in fields.blocks), A, fields.jacobian.core, fields.jacobian.port
@@ -99,7 +99,7 @@ class SplitSolver:
         pairs = zip(now[1:], self._made[1:], strict=True)
         return any(min(x.shape) and abs(x - y).max() > CHANGED * abs(y).max() for x, y in pairs)
 
-    def _build(self, weights: Weights, couplings: list[Array]) -> None:
+    def _build(self, weights: Weights, couplings: list[FieldCoupling]) -> None:
         """The splits of (2), and the Krylov method."""
         from petsc4py import PETSc
 
