@@ -121,12 +121,8 @@ class Newton:
                 return False, history
 
             if len(history) > 1:
-                # rate of convergence, and by it the error that is left
-                theta = size / history[-2] if history[-2] > 0 else 0.0
-                self.theta = max(min(theta, 0.999), 1e-4)
-                left = self.theta / (1 - self.theta) * size
+                left, further = self._by_rate(size, history[-2])
                 # too slow to end within the patience: a new tangent
-                further = -math.log(left) / math.log(self.theta) if left > 1.0 else 0.0
                 if refreshed < 10 and further > self.patience and (begun or self._pays(len(history) + further, cost)):
                     refreshed += 1
                     if renew():
@@ -138,8 +134,8 @@ class Newton:
                     return False, history
             else:
                 # the first: the rate of the step before, no better than 0.02
-                left = max(self.theta, 0.02) / (1 - min(max(self.theta, 0.02), 0.9)) * size
-                left = min(left, foretold(size))
+                rate = max(self.theta, 0.02)
+                left = min(rate / (1 - min(rate, 0.9)) * size, foretold(size))
                 if size <= FAR:
                     refreshed = 0  # it was not worth a tangent
                 elif at_once and renew():
@@ -153,6 +149,13 @@ class Newton:
                 self.account.settle(len(history), refreshed)
                 return True, history
         return False, history
+
+    def _by_rate(self, size: float, before: float) -> tuple[float, float]:
+        """The error that is left after two increments, by the rate of convergence, and how many more would take it below 1."""
+        theta = size / before if before > 0 else 0.0
+        self.theta = max(min(theta, 0.999), 1e-4)
+        left = self.theta / (1 - self.theta) * size
+        return left, -math.log(left) / math.log(self.theta) if left > 1.0 else 0.0
 
     def _pays(self, made: float, cost: float) -> bool:
         """Whether a tangent of this cost is worth it where a step would end after so many increments without."""

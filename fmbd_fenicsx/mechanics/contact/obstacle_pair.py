@@ -32,43 +32,78 @@ class ObstaclePair(Pair):
         return float(self.shape.thickness)
 
 
+class Carriers:
+    """Where obstacles (k,) are: at rest, moved as prescribed, or carried by a frame."""
+
+    def __init__(self, pairs: list[ObstaclePair]) -> None:
+        carriers = [p.carrier for p in pairs]
+        self.begin = np.array([c.offset for c in carriers])
+        self.prescribed = [(i, c.motion) for i, c in enumerate(carriers) if c.motion is not None]
+        self.frame = np.array([c.frame for c in carriers])
+        self._carried = np.flatnonzero(self.frame >= 0)
+        self.at_rest = not (self.prescribed or len(self._carried))
+        self._asked: dict[float, list[Array]] = {}  # of prescribed ones, by time
+
+    def poses(self, t: float, frames: Array) -> Array:
+        """Poses of all, where frames are known."""
+        found = self.begin.copy()
+        found[self._carried] = frames[self.frame[self._carried]]
+        if self.prescribed:
+            found[[i for i, _ in self.prescribed]] = self.told(t)
+        return found
+
+    def told(self, t: float) -> list[Array]:
+        """Poses of those that move as prescribed; those of the times of a step are asked for once."""
+        found = self._asked.get(t)
+        if found is None:
+            found = self._asked[t] = [motion(t) for _, motion in self.prescribed]
+            for old in list(self._asked)[:-TOLD]:
+                del self._asked[old]
+        return found
+
+
 class ObstacleSearch:
     """Pairs with obstacles that follow each other: places, distances and rows of all their candidates (m,) in arrays."""
 
     def __init__(self, pairs: list[ObstaclePair], motions: Motions, traces: tuple[ContactTrace, ...]) -> None:
         counts = [p.count for p in pairs]
         self.of = np.repeat(np.arange(len(pairs)), counts)
-        self.count = len(self.of)
+        self.count, self.dim = len(self.of), motions.dim
         self.radius, self.friction, self.restitution = (
             np.repeat(x, counts)
             for x in zip(*((p.slave.radius, p.friction, p.restitution) for p in pairs), strict=True)
         )
 
-        # obstacles: at rest, prescribed, or carried by a frame
-        carriers = [p.carrier for p in pairs]
-        self.at_rest = np.array([c.offset for c in carriers])
-        self.prescribed = [(i, c.motion) for i, c in enumerate(carriers) if c.motion is not None]
-        self.frame = np.array([c.frame for c in carriers])
-        self.carried = np.flatnonzero(self.frame >= 0)
-        self.pushed = np.flatnonzero(self.frame[self.of] >= 0)
-        self._asked: dict[float, list[Array]] = {}  # of prescribed ones, by time
-        self._still: tuple[Array, Array | None] | None = None  # where all are at rest
-        if not (self.prescribed or len(self.carried)):
-            R = motions.matrix(self.at_rest)
-            turned = bool((np.eye(motions.dim) != R).any())
-            self._still = self.at_rest[self.of, : motions.dim], R[self.of] if turned else None
-        self.all_shapes, self.dim = [p.shape for p in pairs], motions.dim
+        self.all_shapes = [p.shape for p in pairs]
         self.shapes = distances(self.all_shapes, self.of, self.dim)
 
-        # points of frames
+        self.carriers = Carriers(pairs)
+        self.pushed = np.flatnonzero(self.carriers.frame[self.of] >= 0)
+        self._still: tuple[Array, Array | None] | None = None  # where all are at rest
+        if self.carriers.at_rest:
+            r, R = self._placed(motions, self.carriers.begin)
+            self._still = r, R if (np.eye(self.dim) != R).any() else None
+
         sides = [p.slave for p in pairs]
+        self._take_points(sides, counts)
+        self._take_nodes(sides, counts, traces)
+        self._chosen: tuple[bytes, ObstacleSearch] | None = None  # those asked for last
+
+    @property
+    def prescribed(self) -> list[tuple[int, Any]]:
+        """Numbers and motions of the obstacles that move as prescribed."""
+        return self.carriers.prescribed
+
+    def _take_points(self, sides: list[Any], counts: list[int]) -> None:
+        """Points of frames: which candidates they are, their places, and numbers of their frames."""
         rigid = [s for s in sides if s.surface is None]
         self.rigid = np.flatnonzero(np.repeat([s.surface is None for s in sides], counts))
-        self.places = np.concatenate([np.zeros((0, motions.dim)), *(s.points for s in rigid)])
+        self.places = np.concatenate([np.zeros((0, self.dim)), *(s.points for s in rigid)])
         frames = np.concatenate([np.zeros(0, dtype=int), *(s.frames for s in rigid)])
         self.frames, self.on = np.unique(frames, return_inverse=True)
 
-        # nodes of traces: candidates, and their nodes
+    def _take_nodes(self, sides: list[Any], counts: list[int], traces: tuple[ContactTrace, ...]) -> None:
+        """Nodes of traces: which candidates they are, and which nodes of each trace."""
         of_trace = np.repeat([s.trace for s in sides], counts)
         self.nodes: dict[int, tuple[np.ndarray, np.ndarray]] = {}
         for i in sorted({s.trace for s in sides if s.surface is not None}):
@@ -77,7 +112,6 @@ class ObstacleSearch:
             self.nodes[i] = at, nodes
         on_field = np.array([*(isinstance(tr, FieldTrace) for tr in traces), False])
         self.multiplier = np.where(on_field[of_trace], of_trace, -1)
-        self._chosen: tuple[bytes, ObstacleSearch] | None = None  # those asked for last
 
     def some(self, near: np.ndarray) -> ObstacleSearch:
         """The same with those candidates alone that are ``near``, (m,) bool."""
@@ -128,20 +162,11 @@ class ObstacleSearch:
         """Places (m, d) and rotations (m, d, d; None: no turn) of the obstacles that the candidates may touch."""
         if self._still is not None:
             return self._still
-        obstacles = self.at_rest.copy()
-        obstacles[self.carried] = poses[self.frame[self.carried]]
-        if self.prescribed:
-            obstacles[[i for i, _ in self.prescribed]] = self._told(t)
-        return obstacles[self.of, : m.dim], m.matrix(obstacles)[self.of]
+        return self._placed(m, self.carriers.poses(t, poses))
 
-    def _told(self, t: float) -> list[Array]:
-        """Poses of obstacles that move as prescribed; those of the times of a step are asked for once."""
-        found = self._asked.get(t)
-        if found is None:
-            found = self._asked[t] = [motion(t) for _, motion in self.prescribed]
-            for old in list(self._asked)[:-TOLD]:
-                del self._asked[old]
-        return found
+    def _placed(self, m: Motions, obstacles: Array) -> tuple[Array, Array]:
+        """The same of known poses of obstacles."""
+        return obstacles[self.of, : m.dim], m.matrix(obstacles)[self.of]
 
     def _distances(self, y: Array) -> tuple[Array, Array]:
         """Distances and gradients at points (m, d) in the axes of their obstacles."""
@@ -159,7 +184,7 @@ class ObstacleSearch:
         other for what they cannot do.
         """
         out = np.zeros_like(y)
-        told = [(weight, self._told(time)) for time, weight in way]
+        told = [(weight, self.carriers.told(time)) for time, weight in way]
         for k, (i, _) in enumerate(self.prescribed):
             shift = sum(weight * poses[k][: m.dim] for weight, poses in told)
             turn: Any = sum(weight * m.matrix(poses[k]) for weight, poses in told)
@@ -191,7 +216,7 @@ class ObstacleSearch:
             pushing.append((self.rigid, self.frames[self.on], 1.0, origin, turned))
         if len(on := self.pushed):
             assert R is not None
-            pushing.append((on, self.frame[self.of[on]], -1.0, r[on], R[on]))
+            pushing.append((on, self.carriers.frame[self.of[on]], -1.0, r[on], R[on]))
 
         for on, frames, sign, *at in pushing:
             told = (sign * e[on]).reshape(-1, e.shape[2]), *(y.repeat(c, axis=0) for y in (touch.x[on], *at))

@@ -125,13 +125,10 @@ class Elimination:
         n = len(widths)
         self.widths = [*widths, *(len(g.rows) for g in groups)]
         self.near: list[set[int]] = [set() for _ in self.widths]
-        for a, b in pairs:
+        held_by = {(n + number, body) for number, group in enumerate(groups) for body in group.bodies}
+        for a, b in pairs | held_by:
             self.near[a].add(b)
             self.near[b].add(a)
-        for number, group in enumerate(groups):
-            for body in group.bodies:
-                self.near[n + number].add(body)
-                self.near[body].add(n + number)
 
         led = joint_tree(n, groups)
         self.couplings = {b: [n + g for g in these] for b, these in couplings_of(widths, groups, led).items()}
@@ -139,14 +136,15 @@ class Elimination:
         self.held = {b for b in coupled if sum(len(groups[g].rows) for g in led[b]) >= widths[b]}
         self.units = [[b, *(n + g for g in led[b])] for b in range(n)]
         self.unit_of = {node: u for u, unit in enumerate(self.units) for node in unit}
-        self.waiting = [0] * n
-        self.closers: dict[int, list[int]] = {}
         self.done: set[int] = set()  # nodes
+
+        # loops come after their bodies
+        self.waiting = [0] * n  # for so many of these
+        self.closers: dict[int, list[int]] = {}
         parent = parents(groups, led)
         for number, group in enumerate(groups):
             if n + number in self.unit_of:
                 continue
-            # a loop: after its bodies
             self.unit_of[n + number] = len(self.units)
             before = loop_of(group.bodies, parent) if group.locked else group.bodies
             for body in before:

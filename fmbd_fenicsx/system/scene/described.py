@@ -16,6 +16,7 @@ from .scene import Scene
 
 SMALL = 24  # arrays up to this size are told entry by entry
 DEEPEST = 4  # objects in objects
+CONTAINERS = (list, tuple, dict)
 KINDS = ("bodies", "joints", "forces", "contacts", "limits", "sliders", "ties", "sensors")
 SETTINGS = ("gravity", "gravity_ramp", "breakpoints", "settle")
 
@@ -41,32 +42,41 @@ def text_of(value: Any) -> str:
 
 
 def _describe(name: str, x: Any, out: dict[str, Any], depth: int = 0) -> None:
-    """Enter a value, or the fields of an object, under their names."""
+    """Enter a value, or the parts of it, under their names."""
     if isinstance(x, np.ndarray | list | tuple) and _numbers(x):
         a = np.asarray(x, dtype=float)
         out[name] = a if a.size <= SMALL else f"array {a.shape}"
+        return
     # numbers and words
-    elif x is None or isinstance(x, bool | int | float | str | np.generic):
+    if x is None or isinstance(x, bool | int | float | str | np.generic):
         plain = x.item() if isinstance(x, np.generic) else x
         out[name] = plain if isinstance(plain, int | float) else repr(plain)
-    # containers, item by item
-    elif isinstance(x, list | tuple):
-        for k, y in enumerate(x):
-            _describe(f"{name}[{k}]", y, out, depth + 1)
-    elif isinstance(x, dict):
-        for k, y in x.items():
-            _describe(f"{name}[{k!r}]", y, out, depth + 1)
+        return
     # what has a name is told by it: bodies and joints are described where they stand
-    elif depth and name_of(x) is not None:
+    if depth and not isinstance(x, CONTAINERS) and name_of(x) is not None:
         body = name_of(x.body) if isinstance(x, OfBody) else None
         out[name] = f'{type(x).__name__} "{x.name}"' + (f' of "{body}"' if body else "")
-    # objects field by field, but for meshes
-    elif dataclasses.is_dataclass(x) and not isinstance(x, type) and depth < DEEPEST and not isinstance(x, Mesh):
-        out[name] = type(x).__name__
-        for f in dataclasses.fields(x):
-            _describe(f"{name}.{f.name}", getattr(x, f.name), out, depth + 1)
-    else:
+        return
+
+    parts = _parts(x, depth)
+    if parts is None:
         out[name] = "a function" if callable(x) else type(x).__name__
+        return
+    if not isinstance(x, CONTAINERS):
+        out[name] = type(x).__name__
+    for part, y in parts.items():
+        _describe(name + part, y, out, depth + 1)
+
+
+def _parts(x: Any, depth: int) -> dict[str, Any] | None:
+    """The items of containers, and the fields of objects but meshes, by what is added to their names; None: told as a whole."""
+    if isinstance(x, list | tuple):
+        return {f"[{k}]": y for k, y in enumerate(x)}
+    if isinstance(x, dict):
+        return {f"[{k!r}]": y for k, y in x.items()}
+    if dataclasses.is_dataclass(x) and not isinstance(x, type | Mesh) and depth < DEEPEST:
+        return {f".{f.name}": getattr(x, f.name) for f in dataclasses.fields(x)}
+    return None
 
 
 def _numbers(x: Any) -> bool:
