@@ -37,6 +37,22 @@ def pendulum(rod: Any) -> fmbd.Scene:
     return scene
 
 
+def test_stiffness_that_changes_from_place_to_place_is_integrated(rod_mesh: Any) -> None:
+    """On first-order cells, too, whose strains are constant: quadratic moduli are exact."""
+    mesh, stored = rod_mesh(2), []
+    for share in (0.0, 1.0):
+        law = neo_hookean(MODULUS, 0.3)
+
+        def energy(u: Any, dx: Any, share: float = share, law: Any = law) -> Any:
+            x = ufl.SpatialCoordinate(dx.ufl_domain())
+            return sum((1 + share * x[0] ** 2) * part.integrand() * dx for part in law(u, dx).integrals())
+
+        field = Field("rod", mesh, body(mesh, energy=energy, degree=1, quadrature=None).forms())
+        stored.append(field.energy((0.1 * field.X).ravel()))
+        field.destroy()
+    assert stored[1] == pytest.approx(4 / 3 * stored[0], rel=1e-12)  # x from 0 to 1
+
+
 @settings(max_examples=10)
 @given(seed=st.integers(0, 10_000), kind=st.integers(0, 1), dim=st.integers(2, 3))
 def test_rigid_displacements_cost_nothing(rod_mesh: Callable[..., Any], seed: int, kind: int, dim: int) -> None:

@@ -292,6 +292,20 @@ def test_what_is_foretold_by_a_load_that_has_gone_counts_no_longer(
     assert np.abs(run["place"][:, 0] - exact).max() < 120 * 1e-5 * np.ptp(exact)
 
 
+def test_steps_that_are_only_looked_at_are_no_measure() -> None:
+    """Behind a load that begins within it: what it would reach is forgotten, and the step that is taken does without the load."""
+    scene, mass = fmbd.Scene("late load"), fmbd.RigidBody("mass", 1.0, 1.0, (0.0, 0.0), velocity=(1.0, 0.0))
+    rail = fmbd.prismatic("rail", fmbd.ground, mass, axis=(1, 0))
+    scene.add(mass, rail, fmbd.force("load", mass, lambda t: (30.0 * (t > 0.3), 0.0)))
+    stepper = stepper_of(scene, fmbd.Index3())
+    stepper.stretch.follow(0.0, 1.0)
+    before = stepper.norm.largest
+    level = stepper._chosen(1.0)
+    assert stepper.stretch.size(level) < 0.3 and stepper.stats.rejected["a load within the step"]
+    for earlier, now in zip(before, stepper.norm.largest, strict=True):
+        np.testing.assert_array_equal(earlier, now)
+
+
 def test_velocities_that_refused_steps_would_reach_are_no_measure() -> None:
     """A motor at its limit turns a pendulum up: velocities counted by 11 times the largest, that of one step of the whole run."""
     scene = fmbd.Scene("up", gravity=(0.0, -9.81))
