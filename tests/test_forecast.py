@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from dae_problems import double_four_bar
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.linear.condensation import StepSolver
@@ -168,6 +169,23 @@ def test_a_singular_position_is_named(lift: float, near: bool, sprung: bool) -> 
     assert ("singular position: constraints almost depend" in said) == near
     assert not near or "sigma_min/sigma_max" in said and "pring" not in said
     solver.destroy()
+
+
+def test_what_a_run_at_a_singular_position_is_told_to_take_passes() -> None:
+    """The double four-bar goes through its flat positions by the form that is named, where the default does not."""
+    solve = lambda **how: fmbd.solve(double_four_bar(), t_end=1.4, **how)
+    with pytest.raises(fmbd.errors.ConvergenceError, match=r"Take fmbd.Radau\(form=fmbd.Projected"):
+        solve(scheme=fmbd.Radau(rtol=1e-9))
+    form = fmbd.Projected(fmbd.Index1())
+    for scheme in (
+        fmbd.Radau(form=form, rtol=1e-9),
+        fmbd.BDF(form=form, rtol=1e-10),
+        fmbd.Radau(5, form=form, rtol=1e-10),
+    ):
+        run = solve(scheme=scheme)
+        assert run.counters["rejections"] < 20
+        assert np.ptp(run.total_energy) < 1e-6 * np.ptp(run.energy["kinetic"])
+        assert np.ptp(run["top"][:, 0]) > 1.9
 
 
 def test_steps_that_do_not_come_away_from_a_singular_position_end_the_run() -> None:

@@ -107,7 +107,7 @@ class Forecast:
         """Why steps of error control stay as small as they are, as sentences, or nothing; collective."""
         fallen = needed > HOPELESS and pace < FALLEN * self.pace
         if fallen and (near := singular(self.solver, state)):
-            return f"{near} fmbd.BDF() passes more easily, and so do forms that hold positions, such as fmbd.GGL()."
+            return near
         return drowned(self.solver, state)
 
     def _grown(self, state: State) -> bool:
@@ -148,7 +148,8 @@ def singular(solver: StepSolver, state: State) -> str:
     return (
         f"This is close to a singular position: constraints almost depend on each other (sigma_min/sigma_max = "
         f'{ratio:.1e}, joint "{joint}"), and small steps feel their roundoff. '
-        "Take a larger rtol, or larger constant steps of fmbd.GeneralizedAlpha(0.9)."
+        "Take fmbd.Radau(form=fmbd.Projected(fmbd.Index1())) or fmbd.BDF with this form, a larger rtol, or larger constant steps "
+        "of fmbd.GeneralizedAlpha(0.9)."
     )
 
 
