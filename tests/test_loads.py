@@ -219,6 +219,9 @@ def test_bad_loads(rod_mesh: Callable[..., Any]) -> None:
         Field("rod", mesh, rod(mesh, traction("nose", (1.0, 0.0))).forms())
     with pytest.raises(InputError, match="linear UFL form"):
         Field("rod", mesh, rod(mesh, Load(lambda v, dx, ds: 1.0)).forms())
+    for form in (lambda v, dx, ds: v[0] * ds, lambda v, dx, ds: 2 * v[0] * dx + v[1] * ds):
+        with pytest.raises(InputError, match=r'name of a surface: ds\("pin"\). This mesh has pin, side, tip'):
+            Field("rod", mesh, rod(mesh, Load(form)).forms())
     with pytest.raises(InputError, match="must be 2 finite numbers"):
         Field("rod", mesh, rod(mesh, body_force((1.0,))).forms())
     with pytest.raises(CallbackError, match="function of time"):

@@ -220,6 +220,25 @@ def turned_virial(C: Array) -> Array:
     return (C - np.trace(C) * np.eye(d)) / (d - 1)
 
 
+@dataclass(frozen=True, eq=False)
+class SurfaceMeasure:
+    """``ds`` of a load's form: ``ds("tip")`` is the measure of a surface of the field's mesh."""
+
+    field: Any
+    measure: Any
+
+    def __call__(self, surface: str) -> Any:
+        """The measure of a surface."""
+        return self.measure(self.field.mesh.surface_tag(surface))
+
+    def __rmul__(self, integrand: Any) -> Any:
+        named = self.field.mesh.surface_names
+        raise InputError(
+            f'A load on body "{self.field.name}" integrates over ds, which is to have the name of a surface: '
+            f'ds("{named[0] if named else "tip"}"). This mesh has {", ".join(named) or "none"}.'
+        )
+
+
 class AppliedLoads:
     """The loads of one field; collective to build.
 
@@ -235,10 +254,7 @@ class AppliedLoads:
         msh = field.mesh.dolfinx
         measure = ufl.Measure("ds", domain=msh, subdomain_data=field.mesh.facet_tags)
 
-        def ds(surface: str) -> Any:
-            return measure(field.mesh.surface_tag(surface))
-
-        self._measures = field.mesh.dx, ds
+        self._measures = field.mesh.dx, SurfaceMeasure(field, measure)
 
         v = ufl.TestFunction(field.space)
         self.fixed: list[tuple[Load, Array]] = []
