@@ -75,7 +75,6 @@ START, START_RIGID = 100, 200
 # meshes, whose steps cost, and of slender ones, of which a run takes most of its time before its first step; a look at spaces
 # takes a quarter of them
 SCOUT, SCOUT_SLENDER = 48, 96
-FEW = 24  # steps of which every second end is one of the next attempts
 LOOSEST = 1e-4  # rtol of the first attempt of schemes with error control
 STALLED, STALLED_IN_CONTACT = 256.0, 60.0  # ratios of steps over which errors have to fall
 FAILURES = 1  # runs that may fail, each followed by one with a quarter of the step, beside one that came to its end
@@ -276,9 +275,7 @@ def _first(scene: Scene, scheme: Any, t_end: float, dt: float | None) -> Attempt
     rigid = all(isinstance(body, RigidBody) for body in scene.bodies.values()) and not struck_or_sampled(scene)
     dt = t_end / (scout if spaces else START_RIGID if rigid else START) if dt is None else dt
     schedule = step_schedule(scene, scheme, t_end, dt, multiple=4, at_samples=True)
-    # few steps share half of their ends with those of the next attempts, so that there are enough to be compared
-    grain = schedule.steps // (2 if schedule.steps <= FEW else 4)
-    return beginning(AttemptPlan(scene, scheme, schedule, grain, orders=Orders(follow=look)))
+    return beginning(AttemptPlan(scene, scheme, schedule, schedule.steps // 4, orders=Orders(follow=look)))
 
 
 def _default(scene: Scene, t_end: float) -> Any:
