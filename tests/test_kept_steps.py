@@ -119,21 +119,26 @@ def rubbing() -> fmbd.Scene:
     return scene
 
 
+def of_sensors(scene: fmbd.Scene, scheme: Any, **more: Any) -> fmbd.Run:
+    """What its sensors alone read at the instants, in steps of one size or of the scheme's own."""
+    dt = DT if getattr(scheme, "rtol", None) is None else None
+    output = fmbd.Output(times=TIMES, energy=False, progress=False, **more)
+    return fmbd.solve(scene, t_end=T_END, dt=dt, scheme=scheme, output=output)
+
+
 @pytest.mark.compiled
 @pytest.mark.parametrize("scheme", [*EQUAL, *OWN], ids=lambda s: f"{named(s)} {getattr(s, 'rtol', None)}")
 def test_a_memory_ends_marches_only_where_more_than_the_motion_is_read(scheme: Any, monkeypatch: Any) -> None:
-    """Places and speeds tell nothing of it: 81 instants were as many marches."""
+    """Places and speeds tell nothing of it: 81 instants were as many marches. Accelerations follow from forces."""
     calls = marches(monkeypatch)
-
-    def moving(**more: Any) -> fmbd.Run:
-        scene = rubbing()
-        dt = DT if getattr(scheme, "rtol", None) is None else None
-        output = fmbd.Output(times=TIMES, energy=False, progress=False, **more)
-        return fmbd.solve(scene, t_end=T_END, dt=dt, scheme=scheme, output=output)
-
-    found = moving()
+    found = of_sensors(rubbing(), scheme)
     assert calls[0] <= 8 or isinstance(scheme, EXPLICIT[1:])  # forces tell what these do within a step
-    assert_alike(found, moving(on_step=lambda now: None), 1e-9)
+    assert_alike(found, of_sensors(rubbing(), scheme, on_step=lambda now: None), 1e-9)
+
+    felt, one_by_one = rubbing(), rubbing()
+    for scene in (felt, one_by_one):
+        scene.sensor("acceleration", fmbd.acceleration(list(scene.bodies.values())[-1]))
+    assert_alike(of_sensors(felt, scheme), of_sensors(one_by_one, scheme, on_step=lambda now: None), 1e-9)
 
 
 @pytest.mark.compiled

@@ -378,3 +378,12 @@ def test_what_is_far_from_linear_has_no_size() -> None:
         return y[:1] + z, y[:1]
 
     assert sizes(bounded) == 0.0
+
+
+def test_slopes_that_were_far_steeper_hide_nothing_that_is_left() -> None:
+    """Kept from other readings, along which the memory has no way to go: it stayed where it was."""
+    points, kept = PointMemories("steep"), ControllerMemory(0.0, np.ones(1), np.zeros(1), np.zeros(1), 0)
+    rule = PointRule(np.ones(1), np.ones((1, 1)), -np.ones((1, 1)), np.zeros(1))
+    for slope, rate in ((-1e12, 0.0), (0.0, 1e3)):
+        points.find(kept, rule, np.array([[slope, rate]]), lambda t, y, z: (z, y[0] * z + y[1]))
+    assert points.z[0, 0] == pytest.approx(1001.0, rel=1e-9)
