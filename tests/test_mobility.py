@@ -657,3 +657,14 @@ def test_gears_that_count_as_dependent_are_told(caplog: pytest.LogCaptureFixture
     scene.add(fmbd.torque("push", scene.bodies["wheel 0"], lambda t: 0.3))
     fmbd.solve(scene, t_end=0.01, dt=0.01, output=fmbd.Output(progress=False))
     assert any('gears "gear 1", "gear 2" count as depending' in r.getMessage() for r in caplog.records)
+
+
+@pytest.mark.parametrize("axis", [None, TILTED])
+def test_planets_between_the_same_wheels_are_nothing_to_tell(axis: Any, caplog: pytest.LogCaptureFixture) -> None:
+    """Each by a gear to both wheels: redundant, and what they hold fits together, as in every differential."""
+    scene = train([0.4, -2.0], axis)
+    first, last = (fmbd.angle(scene.joints[f"pin {i}"]) for i in (0, 2))
+    scene.add(fmbd.gear("second planet", first, last, ratio=-0.8))
+    run = fmbd.solve(scene, t_end=0.01, dt=0.01, output=fmbd.Output(progress=False))
+    assert scene.check().redundant == 1
+    assert not run.warnings and not caplog.records

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..log import log
+from ..matrices import dense
 from ..rotations import Array
 from ..system.dependence import CERTAIN, NEAR_SINGULAR, rows_are_independent, rows_differ
 from ..system.evaluation import Evaluation
@@ -45,7 +46,7 @@ def _look(ev: Evaluation) -> tuple[int, int]:
         return 0, 0 if rows_differ(ev) else CORRECTIONS
     found = mobility(ev)
     warn_of_ties(ev.system, found.shares)
-    warn_of_gears(ev.system, found.shares)
+    warn_of_gears(ev, found.shares)
     if not found.redundant:
         return 0, 0
     if near := nearly_the_same(found):
@@ -70,15 +71,30 @@ def warn_of_ties(system: Measured, shares: dict[str, float]) -> None:
         )  # fmt: skip
 
 
-def warn_of_gears(system: Measured, shares: dict[str, float]) -> None:
-    """Say which gears count as depending on each other: those of a train that reduces too far and comes back do not."""
-    names = [b.name for b in system.blocks if b.kind == "gear" and shares.get(b.name, 0.0) > GEARED]
-    if names:
+def warn_of_gears(ev: Evaluation, shares: dict[str, float]) -> None:
+    """Say which gears count as depending on each other, where they may not: a train that reduces too far and comes back does not;
+    two planets between the same wheels do.
+    """
+    names = [b.name for b in ev.system.blocks if b.kind == "gear" and shares.get(b.name, 0.0) > GEARED]
+    if names and np.prod([reduction(ev, name) for name in names]) >= 1.0 / NEAR_SINGULAR:
         log.warning(
             "gears %s count as depending on others (%.0f redundant rows). Where they hold the same twice, all is well; those of "
             "a train that reduces by %.0e or more and comes back let its ends turn apart: take one gear of its total ratio.",
             ", ".join(f'"{name}"' for name in names), sum(shares.values()), 1.0 / NEAR_SINGULAR,
         )  # fmt: skip
+
+
+def reduction(ev: Evaluation, gear: str) -> float:
+    """By how much a gear reduces at most: its largest motion of a body over the smallest, turns by the model's length; infinite
+    where not two bodies with frames tell it.
+    """
+    s = ev.system
+    n = s.motions.n_twist
+    core = ev.jacobian.core
+    row = dense((core if isinstance(core, np.ndarray) else core.tocsr())[s.block(gear).rows])[0, : s.n_frames * n]
+    sizes = np.linalg.norm((row / s.units[: len(row)]).reshape(-1, n), axis=1)
+    sizes = sizes[sizes > 0.0]
+    return float(sizes.max() / sizes.min()) if len(sizes) > 1 else np.inf
 
 
 class NearSingular:
