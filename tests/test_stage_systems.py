@@ -162,6 +162,8 @@ def test_tangents_and_solutions_are_those_of_dense_matrices(name: str, form: Any
             roundoff = max(roundoff, 1e-5)
         if system.evaluator.tables.whole:  # whose slopes Python tells by other differences
             roundoff = max(roundoff, 1e-9)
+        if sparse.structure.couplings.shares:  # told apart, which NumPy sums up
+            roundoff = max(roundoff, 1e-7 if field == "by_v" else 1e-11)
         if eq.tied and field == "by_v":  # without springs NumPy sums up in another order, too
             roundoff = max(roundoff, 1e-11)
         assert getattr(found, field) == pytest.approx(values, rel=1e-13, abs=roundoff * size), field
@@ -301,7 +303,7 @@ def test_work_grows_with_the_number_of_bodies(shape: str) -> None:
         own = eq.whole_pencil([pencil.t] * 3, tableau(3).W / H, JUDGE)
         found.append((structure.couplings.together.max() + 1, len(structure.row) / n, filled / n, own.lu.nnz / n))
     directions, entries, filled, whole = np.array(found).T
-    assert (directions == 9).all() or shape != "chain"
+    assert (directions == (6 if shape == "hub" else 9)).all() or shape == "coupled chain"
     assert whole == pytest.approx(whole[-1], rel=0.2) or shape == "hub"  # rows that SciPy exchanges fill its own
     assert entries == pytest.approx(entries[-1], rel=0.1)
     assert filled == pytest.approx(filled[-1], rel=0.1)

@@ -2,20 +2,27 @@
 
 The balance of a body depends on the coordinates of all bodies that a joint, a spring or a rod ties to it, a row of a constraint
 on those of its own bodies. Coordinates of bodies that no row knows together may be moved together: derivatives of chains and
-trees take the same number of evaluations whatever their length (Curtis, Powell and Reid, doi:10.1093/imamat/13.1.117).
+trees take the same number of evaluations whatever their length (Curtis, Powell and Reid, doi:10.1093/imamat/13.1.117). Of a body
+with many others on it the balance knows all of them: what joints and springs between it and each one do is told apart there.
 """
 
 from __future__ import annotations
 
+from collections import defaultdict
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ...sparsity import Pattern
+from ..declarations import enumeration
+from ..tables.bodies.rods import rod_pairs
 
 if TYPE_CHECKING:
     from ..tables.tables import Tables
+
+ROLES = enumeration("ROW")
+MANY = 4  # bodies on one, as in nets, above which their shares of its balance are told apart
 
 
 class Couplings:
@@ -35,6 +42,7 @@ class Couplings:
             own = system.slices[1][k]
             self.of_body[part.frame] = np.append(self.of_body[part.frame], np.arange(own.start, own.stop))
         self.order = self._order(tables)
+        self.shares = self._shares(tables)
 
     def _order(self, tables: Tables) -> np.ndarray:
         """Coordinates, and n + the numbers of rows, in the order in which the fronts eliminate them."""
@@ -52,6 +60,36 @@ class Couplings:
         for body, read in self.answering:
             near[body].add(read)
         return near
+
+    def _shares(self, tables: Tables) -> dict[int, dict[int, list[tuple[int, int]]]]:
+        """By bodies with many others on them, which nothing but items couples: of each of these the items between the two, by the
+        numbers of batch and item.
+        """
+        between: dict[tuple[int, int], list[tuple[int, int]]] = defaultdict(list)
+        others = set(self.answering) | set(rod_pairs(tables.system.elements))
+        for f in (*tables.loads, *tables.mounts):
+            others |= set(map(tuple, np.asarray(tables.body_of(tables.frame[np.stack((f.a, f.b), axis=1)])).tolist()))
+        for number, items in enumerate(tables.sources):
+            bodies: list[list[int]] = np.asarray(tables.body_of(items.frames)).tolist()
+            plain = (
+                items.frames.shape[1] == 2
+                and not items.linked
+                and not items.terms
+                and (items.frames <= tables.nb).all()
+            )
+            for i, pair in enumerate(bodies if items.role not in (ROLES["READ"], ROLES["TERM"]) else []):
+                if plain and len({*pair} - {-1}) == 2:
+                    between[min(pair), max(pair)].append((number, i))
+                elif not plain:
+                    others |= {(a, b) for a in pair for b in pair}
+
+        apart = {body for pair in others if len({*pair} - {-1}) > 1 for body in pair}
+        own = {b: near - {b} for b, near in enumerate(self.near)}
+        return {
+            b: {x: between[min(b, x), max(b, x)] for x in sorted(on)}
+            for b, on in own.items()
+            if len(on) > MANY and b not in apart and len(self.of_body[b]) == self.system.motions.n_twist
+        }
 
     @cached_property
     def balance(self) -> Pattern:
@@ -102,7 +140,7 @@ class Couplings:
             for body in group.bodies:
                 beside[body].update(group.bodies)
         for body, depending in enumerate(rows):
-            known = beside[body].union(*(self.near[a] for a in depending))
+            known = beside[body].union(self.near[body], *(self.near[a] for a in depending if a not in self.shares))
             taken = {colours[c] for c in known if c < len(colours)}
             colours.append(next(k for k in range(len(taken) + 1) if k not in taken))
 

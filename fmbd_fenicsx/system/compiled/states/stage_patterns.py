@@ -171,9 +171,19 @@ class StageStructure:
         self.parts = {name: slice(int(i), int(j)) for name, i, j in zip(DATA, ends[:-1], ends[1:], strict=True)}
 
         levels = [low.places(at + G.rows, G.columns) for at in offsets]
+        shares = [(b, x, items) for b, on in couplings.shares.items() for x, items in on.items()]
+        acting = [(*item, number) for number, (_, _, items) in enumerate(shares) for item in items]
+        twist, row = couplings.system.motions.n_twist, low.rows.copy()
+        for number, (b, x, _) in enumerate(shares):
+            own, place = couplings.of_body[x], self.size + twist * number + np.arange(twist)
+            at = low.places(np.repeat(couplings.of_body[b], len(own)), np.tile(own, twist))
+            row[at] = np.repeat(place, len(own))
         self.c = Patterns(
             n=self.n, m=self.m, size=self.size, levels=len(levels), pulls=self.pulls, frozen=self.frozen_at,
             first=self.levels[0] if levels else 0, colours=colours, moves=len(self.moves),
+            shares=len(shares), acting=len(acting),
+            of_bodies=self._address(np.array([b for b, _, _ in shares])),
+            acts=self._address(np.array(acting, int).reshape(-1, 3)),
             moving=len(self._on_moves), on_moves=self._address(self._on_moves),
             along=len(self._of_moves), of_moves=self._address(self._of_moves),
             low=len(low), crossings=len(self.crossed.pattern), columns=len(self._taken), masses=len(couplings.masses),
@@ -184,7 +194,7 @@ class StageStructure:
             colour=self._address(colour, np.int32),
             across=self._address(self._across), coloured=self._address(coloured),
             coloured_start=self._address(np.searchsorted(by_colour[coloured], np.arange(colours + 1))),
-            row=self._address(low.rows), column=self._address(low.columns), taken=self._address(self._taken),
+            row=self._address(row), column=self._address(low.columns), taken=self._address(self._taken),
             of_masses=self._address(low.places(couplings.masses.rows, couplings.masses.columns)),
             of_level=self._address(np.concatenate([np.zeros(0, int), *levels])),
             normal=self._pairs(self.normal), turned=self._pairs(self.turned), crossed=self._pairs(self.crossed),
@@ -195,7 +205,7 @@ class StageStructure:
         n, n_q = self.n, self.couplings.system.n_q
         masses, widest = len(couplings.masses), max(map(len, couplings.of_body), default=0)
         sizes = {"q": n_q, "v": n, "a": n, "mult": self.size - n, "M": masses, "W": masses}
-        sizes["room"] = 4 * n + n_q + 3 * self.size + 2 * widest**2
+        sizes["room"] = 4 * n + n_q + 3 * (self.size + twist * len(shares)) + 2 * widest**2
         self._given = Exchange(sizes | {"data": self.count})
         self.masses, self.inverse = self._given.arrays[4:6]  # data of M and of its inverse, of the last tangent
         self.room_address = self._given.at[6]

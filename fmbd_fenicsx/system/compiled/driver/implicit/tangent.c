@@ -15,12 +15,15 @@ typedef struct {
     int n, m, size, levels, first, colours, moves; /* moves: of coordinates, that are unknowns of factors on each level behind the first */
     Ties *ties;                       /* of the unknowns behind the multipliers */
     double pulls[2];                  /* of the form, see Form */
+    long shares, acting, *of_bodies;  /* of balances of bodies with many others on them, one by each of these: whose */
+    long *acts;                       /* batch, item and share of what acts between them */
     long low, crossings, columns;     /* entries of the lower rows, of their products with U, of K */
     int *G_start, *G_on, *M_start, *colour; /* G, M by rows; by which number each coordinate is moved */
     int *R_start, *R_on;              /* rows of ties, R */
     long *across, *across_ties;       /* entries of G in the order of G^T, and those of R */
     long *coloured_start, *coloured;  /* entries of the lower rows by the number that moves them */
-    long *row, *column, masses, *of_masses, *of_level, *of_ties;
+    long *row, *column;               /* of entries of the lower rows; a row behind all of these is a number of a share */
+    long masses, *of_masses, *of_level, *of_ties;
     long *taken;                      /* entries of K among those of its blocks side by side */
     long moving, along, *on_moves, *of_moves; /* entries of the lower rows on coordinates with such moves, and of U there */
     Product normal, turned, crossed;
@@ -133,7 +136,29 @@ static void normal_directions(const Patterns *o, const double *W, const double *
     for (long i = 0; i < o->normal.pairs; i++) U[o->normal.to[i]] += W[o->normal.a[i]] * G[o->across[o->normal.b[i]]];
 }
 
-/* The balance, the constraints of all levels and ties at a state. */
+/* What acts between bodies with many others on them and each of these, on the former, where a state was evaluated: TWIST numbers
+   for each. */
+static void note_shares(const System *s, const Patterns *o, const double *lam, double *shares)
+{
+    memset(shares, 0, TWIST * o->shares * sizeof(double));
+    for (const long *x = o->acts; x < o->acts + 3 * o->acting; x += 3) {
+        const Batch *k = s->batch + x[0];
+        const double *out = k->out + x[1] * k->outputs, force = k->role == ROW ? k->factor[x[1]] * lam[k->row[x[1]]] : k->effort[x[1]];
+        const int *at = k->at + x[1] * k->live, first = s->body[o->of_bodies[x[2]]].at_u;
+        for (int e = 0; e < k->live; e++)
+            if (first <= at[e] && at[e] < first + TWIST) shares[TWIST * x[2] + at[e] - first] += force * out[k->entry[e]];
+    }
+
+#if DIM == 3 /* moments in axes of the body */
+    for (long i = 0; i < o->shares; i++) {
+        double *moment = shares + TWIST * i + D, world[3];
+        memcpy(world, moment, sizeof world);
+        to_body(s->frames + FRAME * o->of_bodies[i] + TURN, world, moment);
+    }
+#endif
+}
+
+/* The balance, the constraints of all levels and ties at a state, and behind them the shares of balances. */
 static int lower_rows(System *s, const Patterns *o, double t, const double *q, const double *v, const double *a, const double *lam,
                       double *low)
 {
@@ -143,6 +168,7 @@ static int lower_rows(System *s, const Patterns *o, double t, const double *q, c
     const Form form = {o->n, o->m, o->levels, o->first, o->pulls};
     if (!verdict) {
         like_v(s, s->residual, low);
+        note_shares(s, o, lam, low + o->size);
         level_rows(s, &form, a, low);
     }
     give(s, NULL, NULL);
@@ -232,12 +258,12 @@ static void note_slopes(const System *s, double *noted)
 
 /* Derivatives of the lower rows: central differences by coordinates, moved by hq, forward ones by velocities, moved by hv; laws
    tell their slopes, and count as their tangents then: a difference may lead over a corner, or through all of a steep one.
-   ``room``: 2 n + nq + 3 size. */
+   ``room``: 2 n + nq + 3 sizes of the lower rows and of the shares. */
 static int slopes(System *s, const Patterns *o, double t, const double *q, const double *v, const double *a, const double *lam,
                   const double *hq, const double *hv, double *by_q, double *by_v, double *noted, double *room)
 {
-    double *moved = room, *faster = moved + o->n, *there = faster + o->n, *rest = there + s->nq, *ahead = rest + o->size;
-    double *back = ahead + o->size;
+    double *moved = room, *faster = moved + o->n, *there = faster + o->n, *rest = there + s->nq;
+    double *ahead = rest + o->size + TWIST * o->shares, *back = ahead + o->size + TWIST * o->shares;
     int verdict = lower_rows(s, o, t, q, v, a, lam, rest);
     for (Batch *k = s->batch; !verdict && k < s->batch + s->batches; k++) verdict = take_slopes(s, k, t);
     for (const Body *b = s->body; !verdict && b < s->body + s->bodies; b++)
@@ -253,14 +279,14 @@ static int slopes(System *s, const Patterns *o, double t, const double *q, const
         }
 
         for (long i = o->coloured_start[c]; i < o->coloured_start[c + 1]; i++) {
-            long p = o->coloured[i], row = o->row[p];
+            const long p = o->coloured[i], row = o->row[p];
             by_q[p] = (ahead[row] - back[row]) / (2.0 * hq[o->column[p]]);
         }
 
         for (int i = 0; i < o->n; i++) faster[i] = o->colour[i] == c ? v[i] + hv[i] : v[i];
         if ((verdict = lower_rows(s, o, t, q, faster, a, lam, ahead))) return verdict;
         for (long i = o->coloured_start[c]; i < o->coloured_start[c + 1]; i++) {
-            long p = o->coloured[i], row = o->row[p], at = o->column[p];
+            const long p = o->coloured[i], row = o->row[p], at = o->column[p];
             by_v[p] = (ahead[row] - rest[row]) / (faster[at] - v[at]);
         }
     }
