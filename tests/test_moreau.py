@@ -408,6 +408,13 @@ def test_heavy_body_on_a_light_one_does_not_sink_in_silence(compiled: bool, monk
         fmbd.solve(stack((1e9, 1e-9, 1e9), 0.0), t_end=5e-3, dt=1e-3, scheme=fmbd.Moreau())
 
 
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+def test_error_of_a_heavy_body_on_a_light_one_says_so(friction: float) -> None:
+    """It asked for a smaller step, or with friction for the scheme of the run."""
+    with pytest.raises(ConvergenceError, match="differ by .e.1[1-4], as of heavy bodies on light ones"):
+        fmbd.solve(stack((1e-6, 1e6), friction), t_end=1e-3, dt=1e-3, scheme=fmbd.Moreau())
+
+
 @pytest.mark.parametrize("compiled", [True, False])
 def test_of_several_touches_in_a_step_the_first_cuts_it(compiled: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Balls that hit a floor 5, 6 and 9 ms behind the start of a step of 10 ms, whichever was added first."""

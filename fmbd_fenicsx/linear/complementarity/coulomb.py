@@ -31,6 +31,8 @@ PIVOTED = 30  # points at most: a tableau of many takes minutes, where half a st
 # better; share of a Newton step below which the line search takes it
 FOUND, ACCEPTED, SHORTEST = constants("contact/friction.c", "FOUND", "ACCEPTED", "SHORTEST")
 (MISSED,) = constants("contact/complementarity.c", "MISSED")  # what a share of missed rates counts beside one of forces
+# shares of the largest compliance: known to few digits; those of contacts that depend on others
+FAINT, DEPENDENT = 1e-9, 1e-14
 PAINLEVE = (
     " With large friction coefficients no solution with finite forces may exist (Painleve); use the Moreau scheme, which has "
     "impacts, or a smaller dt."
@@ -127,7 +129,22 @@ def solved(problem: Coulomb, start: Array, gap: Array, counts: ContactCounts) ->
         return np.concatenate((np.maximum(x[:, :1], 0.0), x[:, 1:]), axis=1)  # none pulls by roundoff
     raise ConvergenceError(
         f"The contact problem did not converge (residual {size:.1e} of the largest force)."
-        + (PAINLEVE if problem.mu.any() else " Use a smaller dt.")
+        + (_lost_in_roundoff(problem) or (PAINLEVE if problem.mu.any() else " Use a smaller dt."))
+    )
+
+
+def _lost_in_roundoff(problem: Coulomb) -> str:
+    """What to say where contacts give way by so little more than others, which depend on them, that W hardly knows it."""
+    if not isinstance(problem.W, np.ndarray):
+        return ""
+    c = np.sqrt(problem.c.ravel())
+    give = np.linalg.eigvalsh(c[:, None] * problem.W * c)
+    faint = give[(give > DEPENDENT * give[-1]) & (give < FAINT * give[-1])]
+    if not faint.size:
+        return ""
+    return (
+        f" Motions of bodies in contact have inertias that differ by {give[-1] / faint[0]:.0e}, as of heavy bodies on light "
+        "ones: roundoff hides the smaller ones. Take masses that differ by less than 1e9, or leave out what is so light."
     )
 
 
