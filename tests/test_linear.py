@@ -221,6 +221,19 @@ def test_dependent_constraints_share_their_multiplier() -> None:
     assert np.abs(A @ x + G.T @ [y[0] + y[2], y[1]] - b).max() < 1e-10
 
 
+@pytest.mark.parametrize("apart", [0.0, 1e-12, 1e-10])
+def test_rows_that_nearly_depend_share_their_multiplier_in_sparse_matrices(apart: float) -> None:
+    """Beside fields, which stand for the 0 of the matrix: a sparse factor has pivots there, of roundoff."""
+    G = np.array([[1.0, -1.0, 0.0], [1.0, -1.0, apart], [0.0, 1.0, 1.0]])
+    A, C, found = np.diag([1.0, 2.0, 3.0]), np.zeros((3, 3)), []
+    for made in (np.array, scipy.sparse.csr_array):
+        solver = CoreSolver(Judge("the core"))
+        solver.factor(made(A), made(G), C)
+        assert not solver.exact
+        found.append(np.concatenate(solver.solve(np.array([1.0, -1.0, 0.5]), np.array([0.2, 0.2, 0.1]))))
+    np.testing.assert_allclose(found[0], found[1], atol=1e-9)
+
+
 @pytest.mark.parametrize("light", [1e-6, 1e-13, 1e-26])
 @pytest.mark.parametrize("redundant", [False, True])
 def test_a_body_of_hardly_any_mass_passes_forces_on(light: float, redundant: bool) -> None:
