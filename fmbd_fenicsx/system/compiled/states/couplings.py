@@ -88,7 +88,10 @@ class Couplings:
         return {
             b: {x: between[min(b, x), max(b, x)] for x in sorted(on)}
             for b, on in own.items()
-            if len(on) > MANY and b not in apart and len(self.of_body[b]) == self.system.motions.n_twist
+            if len(on) > MANY
+            and b not in apart
+            and all((min(b, x), max(b, x)) in between for x in on)
+            and len(self.of_body[b]) == self.system.motions.n_twist
         }
 
     @cached_property
