@@ -175,7 +175,7 @@ def test_c_and_numpy_agree(dim: int) -> None:
 def test_gradient_of_every_operation(numbers: bool) -> None:
     x, y = symbol("x"), symbol("y")
     made = sin(x * y) / sqrt(x + 2) - exp(-y) * log(x) + tanh(x - y) * atan2(y, x) ** 2 + 3 - nearest_turn(x, y)
-    made = made + np.arctan(x * y)
+    made = made + np.arctan(x * y) + np.hypot(x, y)
     value, slope = (Program(z, numbers=numbers) for z in ([made], gradient(made, [x, y])))
     at, h = {"x": 1.3, "y": 0.4}, 1e-6
     for name, found in zip("xy", slope(at), strict=True):

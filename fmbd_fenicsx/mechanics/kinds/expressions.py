@@ -99,6 +99,10 @@ class Expression:
         """Angle of the point (x, self), rad, in (-pi, pi]."""
         return atan2(self, x)
 
+    def hypot(self, x: Any) -> Expression:
+        """Distance of the point (x, self) from the origin."""
+        return sqrt(self * self + x * x)
+
     def __repr__(self) -> str:
         if self.operation in ("symbol", "constant"):
             return str(self.arguments[0])
