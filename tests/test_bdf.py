@@ -155,8 +155,9 @@ def fallen(t, k):
 @pytest.mark.parametrize(
     ("scheme", "k", "error"),
     [
-        (fmbd.BDF(rtol=1e-3), 1e7, 0.4),
-        (fmbd.BDF(rtol=1e-4), 1e9, 0.1),
+        (fmbd.BDF(rtol=1e-3), 1e7, 0.15),
+        (fmbd.BDF(rtol=1e-4), 1e9, 0.02),
+        (fmbd.BDF(rtol=1e-5), 1e9, 3e-3),
         (fmbd.BDF(rtol=1e-6), 1e6, 1e-3),
         (fmbd.Radau(rtol=1e-5), 1e9, 1e-3),
         (fmbd.GeneralizedAlpha(rtol=1e-4), 1e7, 2e-2),
@@ -166,7 +167,8 @@ def fallen(t, k):
 )
 def test_what_bounces_on_a_stiff_stop_follows_the_tolerance(scheme, k, error, stop):
     """A step of 0.1 s ends below the stop. Its error is no small share of what the past foretold, and an increment behind one
-    that crossed the stop tells no rate of the iteration: else heights are off by 1 m, and bodies fly away at 4 km/s.
+    that crossed the stop tells no rate of the iteration: else heights are off by 1 m, and bodies fly away at 4 km/s. Nor do
+    velocities within the stop, in steps of microseconds, count by the places that they lead to.
     """
     scene = fmbd.Scene("bounce", gravity=(0.0, -G))
     body = fmbd.RigidBody("ball", 1.0, 0.1, position=(0.0, 0.0))

@@ -15,6 +15,8 @@ so that a scene in other units takes the same steps.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -75,6 +77,8 @@ class ErrorNorm(Remembering):
     (:class:`.RigidMotions`).
     """
 
+    # of the tolerance of places, what velocities may be off by over a step: those that jump pass where it is short enough
+    BRIEF: ClassVar = 1e-5
     keeps: ClassVar = {
         **dict.fromkeys(("q_size", "v_size", "deflections", "known"), plain()),
         **dict.fromkeys(("scale", "wq", "wv"), Memory.like_v),
@@ -87,6 +91,7 @@ class ErrorNorm(Remembering):
         self.q_size: Array = np.zeros(system.n_core)
         # share of the model's length of which rtol is roundoff of places: no steps make errors smaller
         self.known = self.unknown(start) / (rtol * system.length)
+        self.brief = max(self.BRIEF, min(self.known, 1.0))  # velocities are known to the roundoff of places over a step
         self.deforming = [(k, p) for k, p in enumerate(system.parts) if p.distributed or p.rms is not None]
         self.deflections: Array = np.zeros(len(self.deforming))  # m, the largest so far
         self.scale: Array = np.ones(system.n_v)  # of positions, in the model
@@ -109,9 +114,9 @@ class ErrorNorm(Remembering):
         self.scale = self._sizes(state)
         self.wq = self.rtol * self.judged(state) + (0.0 if self.atol is None else self.atol)
 
-        # rates of deformations go with their positions over the step
+        # by a step that is short enough velocities may jump; rates of deformations go with their positions over the step
         n = s.n_core
-        rates = self.rtol * self.v_size + 1e-4 * self.wq[:n] / h
+        rates = self.rtol * self.v_size + self.brief * self.wq[:n] / h
         self.wv = self.wq / h
         if self.deforming:
             rates = np.where(self.deformations[:n], self.wv[:n], rates)
@@ -136,6 +141,15 @@ class ErrorNorm(Remembering):
     def take_back(self, known: tuple[Any, ...], error: float) -> None:
         """The largest sizes before a step that was refused with this error."""
         self.q_size, self.v_size, self.deflections = known
+
+    @contextmanager
+    def looking(self) -> Iterator[None]:
+        """What is looked at alone leaves nothing in the largest sizes."""
+        known = self.largest
+        try:
+            yield
+        finally:
+            self.take_back(known, np.inf)
 
     def judged(self, state: State) -> Array:
         """Sizes like v that the tolerance of positions is relative to: those of the model."""
@@ -260,6 +274,7 @@ class NormOfWays(ErrorNorm):
     Where a frame hangs on a part of its body, what it does beside the mass of that is undone by displacements, which count.
     """
 
+    BRIEF = 1e-4  # by which alone velocities are measured where a body at rest is hit
     LEAST, FINEST = 1e-6, 1e-12
     # shares of a stretch at which prescribed motions are looked at
     PLACES = (0.118, 0.236, 0.382, 0.5, 0.618, 0.764, 0.882, 1.0)

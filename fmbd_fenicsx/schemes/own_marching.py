@@ -33,6 +33,7 @@ def own_numbers(norm: ErrorNorm, control: StepControl) -> dict[str, float]:
     harsh, mild = REFUSED
     return {
         "index": norm.index, "rtol": norm.rtol, "atol": norm.atol or 0.0, "length": norm.system.length, "turn": TURN,
+        "brief": norm.brief,
         "safety": control.safety, "harsh": harsh, "mild": mild, "patience": PATIENCE,
         "given": control.given, "order": control.order, "shrink": control.shrink, "grow": control.grow, "least": LEAST_ERROR,
     }  # fmt: skip

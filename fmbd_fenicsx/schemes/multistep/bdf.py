@@ -59,7 +59,7 @@ if TYPE_CHECKING:
 
 SLOW = 0.2  # rate of convergence above which the next step takes a tangent, with error control
 OUTLASTS = 3  # climbs to the highest order, each of k + 1 steps an order k, that a stretch takes to need no help
-SUDDEN = 0.05  # share of the last step below which a step is behind a bend of forces, as in bdf.c
+SUDDEN = 0.4  # share of the longest step that foretells it, below which a step is behind a bend of forces, as in bdf.c
 
 
 @dataclass(frozen=True)
@@ -329,7 +329,7 @@ class BDFStepper(ImplicitStepper):
             return np.inf
         w = weights(times, t)
         share = h / (t - times[-1])
-        if h < SUDDEN * (times[0] - times[1]):
+        if h < SUDDEN * (times[:-1] - times[1:]).max():
             share = max(share, 1.0 / (k + 1))
         motion = self._error_size(h, self.iteration.pencil, share * (p.xi[0] - w @ xis), share * (p.v[0] - w @ vs))
         return worst(motion, self.norm.of_memories(np.array([share]), -share * w, times))

@@ -40,7 +40,8 @@ class QuietTimes(Remembering):
 
         ``end`` (s): that of the run.
         """
-        error = 0.0 if self._extended(s, h, max(end - s.t, 0.0)) else self.look.loads(s, h)
+        with self.look.norm.looking():
+            error = 0.0 if self._extended(s, h, max(end - s.t, 0.0)) else self.look.loads(s, h)
         if error <= 1.0:
             self.largest = max(self.largest, h)
         return error

@@ -179,10 +179,9 @@ class VariableAlpha(Around):
         self.control.span = max(self.control.span, h)
         if self.proposed is None:
             self.norm.look_ahead(s, h)
-            known = self.norm.largest
-            self.norm.update(s, h)
-            self.proposed = first_step(self.norm, s, 3.0, h)
-            self.norm.take_back(known, np.inf)  # h is the rest of the run: what would be reached by then is no measure
+            with self.norm.looking():  # h is the rest of the run: what would be reached by then is no measure
+                self.norm.update(s, h)
+                self.proposed = first_step(self.norm, s, 3.0, h)
 
         while True:
             level = self._chosen(self.control.proposal(self.proposed, h))
@@ -215,7 +214,6 @@ class VariableAlpha(Around):
             if self.control.given or self.quiet.holds(s.t, h, self.peak):
                 return level
 
-            known = self.norm.largest
             farthest = self.look.farthest(s, h)
             if farthest < h:
                 proposed = farthest
@@ -224,7 +222,6 @@ class VariableAlpha(Around):
                 error, cause = self.quiet.error(s, h, self.until), "a load within the step"
             except LinearSolveError as failure:
                 error, cause = np.inf, self._losing(h, failure)
-            self.norm.take_back(known, np.inf)  # nor is what a step would reach that is looked at alone
             if error <= 1.0:
                 return level
             proposed = self._refused(h, error, cause)

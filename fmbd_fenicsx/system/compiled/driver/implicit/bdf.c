@@ -2,7 +2,7 @@
 
 enum { ORDERS = 5, STABLE = 2 }; /* the highest order, and the highest that damps all vibrations */
 
-static const double SUDDEN = 0.05; /* share of the last step below which a step is behind a bend of forces, not of smooth motion */
+static const double SUDDEN = 0.4; /* share of the longest step that foretells it, below which a step is behind a bend of forces, not of smooth motion */
 
 /* Which orders and sizes follow, see bdf.py. */
 typedef struct Orders {
@@ -191,9 +191,10 @@ static double point_error(System *s, const Implicit *o, int k, Values *e, double
     memcpy(room + n, g->v, n * sizeof(double));
     add_foretold(g, k + 1, e, t, -1.0, room, room + n);
     const double *parts[2] = {room, room + n};
-    double share = (t - e->t[0]) / (t - e->t[k]), w[ENDINGS];
+    double share = (t - e->t[0]) / (t - e->t[k]), longest = 0.0, w[ENDINGS];
 
-    if (t - e->t[0] < SUDDEN * (e->t[0] - e->t[1])) share = fmax(share, 1.0 / (k + 1));
+    for (int j = 0; j < k; j++) longest = fmax(longest, e->t[j] - e->t[j + 1]);
+    if (t - e->t[0] < SUDDEN * longest) share = fmax(share, 1.0 / (k + 1));
     double error = share * step_error(s, o, parts, 2, room + 2 * n);
     if (!s->remembered) return error;
     lagrange(k + 1, e, t, w);

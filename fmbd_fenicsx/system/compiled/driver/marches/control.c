@@ -61,7 +61,7 @@ static double squares(const double *e, int n, double tolerance)
 static double allowed_error(const OwnSteps *o, double size, double unknown, double fastest, double h)
 {
     const double places = o->rtol * size + o->atol;
-    return h > 0.0 ? o->rtol * fastest + (1e-4 * places + unknown) / h : places;
+    return h > 0.0 ? o->rtol * fastest + (o->brief * places + unknown) / h : places;
 }
 
 /* Root mean square of the core, or that of the worst field; of frames without what they do beside the mass of their body. ``h``: as above. */

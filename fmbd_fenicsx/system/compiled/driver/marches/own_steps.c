@@ -9,7 +9,7 @@ typedef struct OwnSteps {
                                        /* before Python makes it */
     Deflection *deflection;
     double *sizes, *speeds, *scale;    /* largest so far, of coordinates and velocities; work; each like v */
-    double rtol, atol, length, turn;
+    double rtol, atol, length, turn, brief; /* share of the tolerance of places by which velocities of a step may be off over its size */
     double safety, harsh, mild;        /* of a refused step: least and most that is left of its size */
     double first, places_of_decade, longer; /* where sizes keep to a grid: one of them, 0: any size will do; how many of a decade; what */
                                        /* a step may be longer than proposed */
@@ -186,7 +186,7 @@ static void take_sizes(const System *s, const OwnSteps *c, const Norm *o, const 
     for (int i = 0; i < TWIST * s->bodies; i++) c->speeds[i] = fmax(c->speeds[i], fastest[i % TWIST >= D]);
 
     for (int i = 0; i < n; i++) {
-        double place = c->rtol * scale[i] + c->atol, rate = c->rtol * c->speeds[i] + 1e-4 * place / h;
+        double place = c->rtol * scale[i] + c->atol, rate = c->rtol * c->speeds[i] + c->brief * place / h;
         o->weigh[i] = 1.0 / place;
         o->weigh[every + i] = c->index == 3 ? h / place : 1.0 / rate;
         o->weigh[2 * every + i] = c->index == 3 ? h * h / place : h / rate;
