@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -68,16 +68,17 @@ class Couplings:
         between: dict[tuple[int, int], list[tuple[int, int]]] = defaultdict(list)
         others = set(self.answering) | set(rod_pairs(tables.system.elements))
         for f in (*tables.loads, *tables.mounts):
-            others |= set(map(tuple, np.asarray(tables.body_of(tables.frame[np.stack((f.a, f.b), axis=1)])).tolist()))
+            both: Any = tables.body_of(tables.frame[np.stack((f.a, f.b), axis=1)])
+            others |= {(a, b) for a, b in both.tolist()}
         for number, items in enumerate(tables.sources):
-            bodies: list[list[int]] = np.asarray(tables.body_of(items.frames)).tolist()
+            bodies: Any = tables.body_of(items.frames)
             plain = (
                 items.frames.shape[1] == 2
                 and not items.linked
                 and not items.terms
                 and (items.frames <= tables.nb).all()
             )
-            for i, pair in enumerate(bodies if items.role not in (ROLES["READ"], ROLES["TERM"]) else []):
+            for i, pair in enumerate(bodies.tolist() if items.role not in (ROLES["READ"], ROLES["TERM"]) else []):
                 if plain and len({*pair} - {-1}) == 2:
                     between[min(pair), max(pair)].append((number, i))
                 elif not plain:

@@ -134,7 +134,7 @@ class StageStructure:
         for level, at in enumerate(first, 1):
             mu, crossed = n + level * m, self.crossed.pattern
             blocks += [(crossed.rows, mu + crossed.columns), (self.low.rows[on], at + number[self.low.columns[on]])]
-            blocks += [diagonal(at, len(self.moves)), (at + number[U.rows[of]], mu + U.columns[of])]
+            blocks += [diagonal(int(at), len(self.moves)), (at + number[U.rows[of]], mu + U.columns[of])]
         # and what softens rows that depend on each other
         self._lay_out([*blocks, diagonal(n, count * m)])
         formulas = states.tables.formulas
