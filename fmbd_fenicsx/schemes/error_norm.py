@@ -39,6 +39,7 @@ from .rigid_motions import RigidMotions
 
 EPS = float(np.finfo(float).eps)
 FINEST = 100 * EPS
+STRICT = 1e-5  # a tenth of what velocities may be off by over a step
 
 
 def worst(*errors: float) -> float:
@@ -78,7 +79,7 @@ class ErrorNorm(Remembering):
     """
 
     # of the tolerance of places, what velocities may be off by over a step: those that jump pass where it is short enough
-    BRIEF: ClassVar = 1e-5
+    BRIEF: ClassVar = 1e-4
     keeps: ClassVar = {
         **dict.fromkeys(("q_size", "v_size", "deflections", "known"), plain()),
         **dict.fromkeys(("scale", "wq", "wv"), Memory.like_v),
@@ -91,13 +92,17 @@ class ErrorNorm(Remembering):
         self.q_size: Array = np.zeros(system.n_core)
         # share of the model's length of which rtol is roundoff of places: no steps make errors smaller
         self.known = self.unknown(start) / (rtol * system.length)
-        self.brief = max(self.BRIEF, min(self.known, 1.0))  # velocities are known to the roundoff of places over a step
+        self.let_pass(self.BRIEF)
         self.deforming = [(k, p) for k, p in enumerate(system.parts) if p.distributed or p.rms is not None]
         self.deflections: Array = np.zeros(len(self.deforming))  # m, the largest so far
         self.scale: Array = np.ones(system.n_v)  # of positions, in the model
         self.wq: Array = np.ones(system.n_v)
         self.wv: Array = np.ones(system.n_v)
         self.rigid: RigidMotions | None = None
+
+    def let_pass(self, brief: float) -> None:
+        """A share as :attr:`BRIEF`, above that by which velocities are known from the roundoff of places."""
+        self.brief = max(brief, min(self.known, 1.0))
 
     def update(self, state: State, h: float) -> None:
         """Take notice of a state; ``h`` is the step about to be taken. Collective where there are elastic fields."""
@@ -274,7 +279,6 @@ class NormOfWays(ErrorNorm):
     Where a frame hangs on a part of its body, what it does beside the mass of that is undone by displacements, which count.
     """
 
-    BRIEF = 1e-4  # by which alone velocities are measured where a body at rest is hit
     LEAST, FINEST = 1e-6, 1e-12
     # shares of a stretch at which prescribed motions are looked at
     PLACES = (0.118, 0.236, 0.382, 0.5, 0.618, 0.764, 0.882, 1.0)
