@@ -1,4 +1,4 @@
-"""A run that will need very many steps says so after the first hundred, with the fastest period and its body."""
+"""A run that will need very many steps says so as soon as their pace is known, with the fastest period and its body."""
 
 from __future__ import annotations
 
@@ -43,9 +43,29 @@ def test_said_once_where_it_is_many(planned: int, caplog: Any) -> None:
             calm.note(replace(state, t=1e-3 * k))
         assert not caplog.records
         slow = Forecast(solver, 0.0, 1.0, planned)
-        for k in range(1, 301):
+        for k in range(1, 301 if planned else 3001):
             slow.note(replace(state, t=1e-7 * k))
     assert len(caplog.records) == 1 and "about 1.0e+07" in caplog.text and "light" in caplog.text
+    solver.destroy()
+
+
+@pytest.mark.parametrize(
+    ("sizes", "told"),
+    [
+        ([7e-6] * 1000 + [1.3e-4] * 500 + [1e-3] * 900, False),  # behind a start that stayed at its first size for long
+        (1e-6 * 1.0001 ** np.arange(5000), False),  # 46 000 steps where 1e6 would be needed without their growth
+        (1e-6 * 1.00001 ** np.arange(5000), True),  # 240 000
+    ],
+)
+def test_steps_that_grow_are_carried_on_as_they_grow(sizes: Any, told: bool, caplog: Any) -> None:
+    from dataclasses import replace
+
+    system, state, _ = light_and_heavy(1e4).build()
+    solver = StepSolver(system)
+    grown = Forecast(solver, 0.0, 1.0, 0)
+    for t in np.cumsum(sizes):
+        grown.note(replace(state, t=float(t)))
+    assert ("at this pace" in caplog.text) == told
     solver.destroy()
 
 
@@ -100,14 +120,14 @@ def test_forces_that_are_roundoff_end_the_run() -> None:
 
 def test_steps_without_end_that_do_not_grow_end_the_run() -> None:
     """1e12 of them; the beginning of a vibration that damping ends takes as short ones, which grow."""
-    assert ends_after(far_away(0.0), 1e-12, 'The fastest period is 6.3e-06 s, of body "bob"') == 2100
+    assert ends_after(far_away(0.0), 1e-12, 'The fastest period is 6.3e-06 s, of body "bob"') == 2000
     assert ends_after(far_away(0.0), 1e-12, "", longer=1.0001) == 5000
-    assert ends_after(far_away(0.0), 1e-13, "No spring is there to blame") == 2100  # for so many steps in its period
+    assert ends_after(far_away(0.0), 1e-13, "No spring is there to blame") == 2000  # for so many steps in its period
 
 
 def test_parts_without_end_of_equal_steps_end_the_run() -> None:
     """A hundred steps in 2e5 parts each, where the run would make 2e7; not so many steps that were asked for."""
-    assert ends_after(far_away(0.0), 5e-8, 'The fastest period is 6.3e-06 s, of body "bob"', planned=100) == 2100
+    assert ends_after(far_away(0.0), 5e-8, 'The fastest period is 6.3e-06 s, of body "bob"', planned=100) == 2000
     assert ends_after(far_away(0.0), 5e-8, "", planned=20_000_000) == 5000
     assert ends_after(far_away(0.0), 2e-7, "", planned=100) == 5000
 
@@ -119,9 +139,10 @@ def test_a_body_whose_turning_bounds_steps_is_named(scheme: Any, caplog: pytest.
     bore = fmbd.cylindrical("bore", fmbd.ground, shaft, axis=(1, 0, 0))
     scene = fmbd.Scene("screw")
     scene.add(shaft, bore, fmbd.screw("thread", bore, lead=1e-3))
-    met = fmbd.Event("x", 0.1)
+    looks = [fmbd.Event("x", x, then=lambda now: None) for x in (0.5, 1.0)]
+    met = [*looks, fmbd.Event("x", 1.1)]
     scene.sensor("x", fmbd.displacement(bore))
-    fmbd.solve(scene, t_end=1e4, scheme=scheme, output=fmbd.Output(events=[met], times=[1e4], progress=False))
+    fmbd.solve(scene, t_end=1e4, scheme=scheme, output=fmbd.Output(events=met, times=[1e4], progress=False))
     assert 'Body "shaft" turns at 5e+03 rad/s' in caplog.text and "0.0005 s here" in caplog.text
     assert "No spring" not in caplog.text
 

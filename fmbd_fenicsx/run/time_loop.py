@@ -124,7 +124,7 @@ class Loop:
         self.state = state = self.stepper.state
 
         # who watches
-        self.judges.forecast.since = state.t
+        self.judges.forecast.begin(state.t)
         self.motions = _motions(problem, schedule, state.t)
         watchers: list[Watcher] = []
         if problem.warned is not None and system.forces:

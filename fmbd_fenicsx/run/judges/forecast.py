@@ -1,7 +1,8 @@
 """How many steps a run will need: said once, with the fastest vibration of the scene, where it is far more than was asked for.
 
-Every hundred steps the pace of the last hundred is carried on to the end. The period of a body on its springs is that of its own
-coordinates, all others held,
+Every hundred steps the pace of the last hundred is carried on to the end. Steps of error control begin small, by a way that has
+just begun: their pace is carried on as it has grown from a thousand of them to the next, before which nothing is said. The period
+of a body on its springs is that of its own coordinates, all others held,
 
     T = 2 pi sqrt(M_ii / K_ii)                                                                                   (1)
 
@@ -60,11 +61,16 @@ class Forecast:
     def __init__(self, solver: StepSolver, t: float, t_end: float, planned: int, *, largest: float = np.inf) -> None:
         self.solver, self.t_end, self.planned = solver, t_end, planned
         self.asked = max(planned, (t_end - t) / largest)
-        self.taken, self.since, self.said = 0, t, False
+        self.taken, self.said = 0, False
+        self.begin(t)
         self.counted = 0  # steps at the time ``since``
         self.pace = 0.0  # s a step, the largest of all looks
         self.stuck = 0  # looks
-        self.back: tuple[int, float, float] | None = None  # steps, time and pace (s a step) of a look a thousand before
+
+    def begin(self, t: float) -> None:
+        """Steps begin at t (s)."""
+        self.since = t
+        self.back = 0, t, 0.0  # steps, time and pace (s a step) of a look a thousand before
 
     def note(self, state: State, steps: int = 1) -> None:
         """So many more steps, or parts of steps, the last of which ended in ``state``; collective.
@@ -83,9 +89,11 @@ class Forecast:
             return
 
         # as fast as of late up to the end
-        needed = self.taken + (self.t_end - state.t) / pace
-        many = needed >= max(MANY, TIMES * self.asked)
-        if many and not self.said:
+        growth, left = self._growth(state), (self.t_end - state.t) / pace
+        needed = self.taken + left
+        most = max(MANY, TIMES * self.asked)
+        many = needed >= most
+        if many and not self.said and (self.planned or growing(left, growth) >= most):
             self.said = True
             log.warning(
                 "t = %g s: the last %d steps or parts of steps took %.2g s; at this pace the run needs about %.1e. %s",
@@ -93,14 +101,14 @@ class Forecast:
             )  # fmt: skip
 
         if self.planned:
-            if many and needed >= HOPELESS and not self._grown(state):
+            if many and needed >= HOPELESS and growth <= GROWN:
                 raise endless(state.t, STEADY, pace, needed, reason(self.solver, state, pace), PartsError)
             return
         why = self._hopeless(state, pace, needed) if many else ""
         self.stuck = self.stuck + 1 if why else 0
         if self.stuck == PATIENCE:
             raise endless(state.t, PATIENCE * recent, pace, needed, why)
-        if not self._grown(state) and needed >= max(ENDLESS, TIMES * self.asked):
+        if growth <= GROWN and needed >= max(ENDLESS, TIMES * self.asked):
             raise endless(state.t, STEADY, pace, needed, reason(self.solver, state, pace))
 
     def _hopeless(self, state: State, pace: float, needed: float) -> str:
@@ -110,15 +118,23 @@ class Forecast:
             return near
         return drowned(self.solver, state)
 
-    def _grown(self, state: State) -> bool:
-        """Whether steps are longer than a thousand steps ago, where so many were made since."""
-        taken, t, before = self.back or (self.taken, state.t, 0.0)
+    def _growth(self, state: State) -> float:
+        """How many times as long as a thousand steps ago steps are, where so many were made since; infinite elsewhere."""
+        taken, t, before = self.back
         steps = self.taken - taken
-        if self.back is not None and steps < STEADY:
-            return True
-        pace = (state.t - t) / max(steps, 1)
+        if steps < STEADY:
+            return np.inf
+        pace = (state.t - t) / steps
         self.back = self.taken, state.t, pace
-        return not before or pace > GROWN * before
+        return pace / before if before else np.inf
+
+
+def growing(steps: float, growth: float) -> float:
+    """How many steps it takes, of which ``steps`` would be left at this pace, where it grows so many times in a thousand."""
+    if not 1.0 < growth < np.inf:
+        return steps if growth <= 1.0 else 0.0
+    rate = np.log(growth) / STEADY
+    return float(np.log1p(rate * steps) / rate)
 
 
 def endless(
