@@ -162,6 +162,8 @@ def fallen(t, k):
         (fmbd.Radau(rtol=1e-5), 1e9, 1e-3),
         (fmbd.GeneralizedAlpha(rtol=1e-4), 1e7, 2e-2),
         (fmbd.GeneralizedAlpha(rtol=1e-5, compiled=False), 1e9, 2e-3),
+        (fmbd.ExplicitRungeKutta(rtol=1e-3), 1e9, 0.05),
+        (fmbd.ExplicitRungeKutta(rtol=1e-6), 1e6, 1e-4),
     ],
     ids=lambda x: f"{x.name}, {x.rtol:g}" if hasattr(x, "rtol") else f"{x:g}",
 )

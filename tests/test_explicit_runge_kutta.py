@@ -11,6 +11,7 @@ from dae_problems import march, pendulum, pendulum_errors, spinning_top, state_e
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.schemes.marching import MarchingStepper
+from fmbd_fenicsx.schemes.onestep.explicit_runge_kutta import coefficients, formulas
 from fmbd_fenicsx.system.compiled.states.evaluation import DriverStates
 from fmbd_fenicsx.system.compiled.states.explicit import ExplicitStates
 from fmbd_fenicsx.system.compiled.states.factor import DriverFactor
@@ -44,6 +45,18 @@ def test_order_eight_of_frames(make: Any, t_end: float, steps: int) -> None:
 
     errors = [state_errors(scene, march(scene, scheme, t_end, n)[-1], reference) for n in (steps, 2 * steps)]
     assert (np.log2(errors[0] / errors[1]) > 7.3).all(), errors
+
+
+def test_formulas_of_the_error_have_their_orders() -> None:
+    """By powers of the nodes, and by those whose stages of low order reach the error through two others."""
+    c, A = coefficients()
+    A = A[:12]
+    powers = np.array([formulas() @ c**k for k in range(7)]).T
+    for found, order in zip(powers, (5, 6, 3), strict=True):
+        assert np.abs(found[:order]).max() < 1e-13 < 1e-4 < abs(found[order:]).max()
+    sixth = formulas()[1]
+    assert np.abs([sixth @ A @ c**k for k in (3, 4)] + [sixth @ A @ A @ c**k for k in (2, 3)]).max() < 1e-13
+    assert np.abs(sixth @ A @ A @ A @ c**2) < 1e-13
 
 
 def test_work_grows_like_order_eight() -> None:

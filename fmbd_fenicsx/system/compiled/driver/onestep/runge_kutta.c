@@ -23,7 +23,7 @@ typedef struct {
     int (*error)(System *s, const Explicit *o, double h, const Slopes *e, Block out, double *error);
 } Method;
 
-static const double THIRD = 0.01; /* weight of the square of the error of order three beside that of order five */
+static const double THIRD = 0.01; /* weight of the square of the error of order three beside those of higher orders */
 
 /* The errors of xi and v by one of the formulas. */
 static void missed_by(const System *s, const Explicit *o, int formula, double h, const Slopes *e, double *places, double *speeds)
@@ -44,18 +44,18 @@ static int runge_kutta_stages(System *s, double *p, const Explicit *o, const Blo
     return all_stages(s, o->stages, *now->t, p[H], p[LENGTH], o->c, o->A, now->q, now->v, e->rates, e->pushes, e->xi, out.v, e->rest);
 }
 
-/* By the formulas of orders five and three. */
+/* By the formulas of orders five, six and three. */
 static int runge_kutta_error(System *s, const Explicit *o, double h, const Slopes *e, Block out, double *error)
 {
-    double *places = e->rest, *speeds = places + s->nv, found[2];
+    double *places = e->rest, *speeds = places + s->nv, found[3];
     const double *parts[2] = {places, speeds};
     (void)out;
-    for (int i = 0; i < 2; i++) {
+    for (int i = 0; i < 3; i++) {
         missed_by(s, o, i, h, e, places, speeds);
         found[i] = own_norm(s, &o->norm, parts, 2);
     }
-    const double fifth = found[0] * found[0];
-    *error = fifth == 0.0 ? 0.0 : fifth / sqrt(fifth + THIRD * found[1] * found[1]);
+    const double high = worse(found[0], found[1]) * worse(found[0], found[1]);
+    *error = high == 0.0 ? 0.0 : high / sqrt(high + THIRD * found[2] * found[2]);
     return DONE;
 }
 
