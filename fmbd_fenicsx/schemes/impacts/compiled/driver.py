@@ -170,6 +170,7 @@ class ContactDriver(PairTables):
         pattern = {"first": room + 1, "near": pairs, "slot": pairs, "start": room + 1, "behind": pairs // 2}
         at = {name: self._zeros(f"graph {name}", size, np.int32) for name, size in (ints | pattern).items()}
         values = {"own": room * k * k, "W": pairs * k * k, "q": room * k, "u": room * k, "f": room * k, "mu": room}
+        values |= dict.fromkeys(("held", "opened", "change"), room * k)
         problem = {name: self._zeros(f"problem {name}", size) for name, size in values.items()}
         factor = {"own": room * k * k, "size": room, "upper": pairs // 2 * k * k, "lower": pairs // 2 * k * k}
         blocks = {name: self._zeros(f"factor {name}", size) for name, size in factor.items()}

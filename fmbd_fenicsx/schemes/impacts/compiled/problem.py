@@ -83,6 +83,7 @@ def _eliminated(near: Any) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np
 
 
 # of forces, that its iteration works with
+VALUES = "q", "u", "f", "mu", "held", "opened", "change"
 VECTORS = 16 + 2 * enumeration("DIRECTIONS", "contact/friction.c")["DIRECTIONS"]
 
 
@@ -141,7 +142,7 @@ class CompiledProblem:
         if m > self.room:
             self._make_room(m)
         self.everyone = _everyone(m)  # C reads it
-        places = {name: self.arrays[name] for name in ("own", "W", "q", "u", "f", "mu")} | self.everyone[2]
+        places = {name: self.arrays[name] for name in ("own", "W", *VALUES)} | self.everyone[2]
         self.c.all = Problem(m=m, **{name: address_of(one) for name, one in places.items()})
 
     def take_lumped(self, near: Any) -> None:
@@ -151,7 +152,7 @@ class CompiledProblem:
             self._make_room(m, applied=True)
         self.lumped = LumpedInverse(self.d)  # C reads it
         self.lumped.take(near)
-        places = {name: address_of(self.arrays[name]) for name in ("own", "q", "u", "f", "mu")}
+        places = {name: address_of(self.arrays[name]) for name in ("own", *VALUES)}
         self.c.all = Problem(m=m, lumped=ctypes.addressof(self.lumped.c), **places)
 
     def _make_room(self, m: int, *, applied: bool = False) -> None:
@@ -162,6 +163,7 @@ class CompiledProblem:
         vectors = VECTORS + 3 * d if applied else 3 + 2 * d
         sizes = {
             "own": m * square, "W": pairs * square, "q": m * d, "u": m * d, "f": m * d, "mu": m,
+            "held": m * d, "opened": m * d, "change": m * d,
             "inner": m * square, "size": m, "upper": pairs // 2 * square, "lower": pairs // 2 * square,
             "least": vectors * m * d,
         }  # fmt: skip

@@ -19,6 +19,14 @@ static void moved_by(const Problem *o, int d, const double *x, double *y)
     for (int i = 0; i < o->m; i++) moved_at(o, d, i, x, y + i * d);
 }
 
+/* Openings under forces x, which may be in the place of u. */
+static void open_under(const Problem *o, int d, const double *x, double *u)
+{
+    for (int i = 0; i < o->m * d; i++) o->change[i] = x[i] - o->held[i];
+    moved_by(o, d, o->change, u);
+    add(u, 1.0, o->opened, o->m * d);
+}
+
 /* C = P W Q + B for blocks P, W, B and a diagonal Q. */
 static void scaled_block(int d, const double *P, const double *W, const double *Q, const double *B, double *C)
 {

@@ -96,6 +96,8 @@ static int contact_forces(Contacts *c, const Problem *o, int g)
     int *before = c->states;
     memcpy(x, o->f, n * sizeof(double));
     memcpy(u, o->u, n * sizeof(double));
+    memcpy(o->held, x, n * sizeof(double));
+    memcpy(o->opened, u, n * sizeof(double));
 
     for (int round = 0; round < ROUNDS; round++) {
         for (int i = 0; i < m; i++) {
@@ -132,8 +134,7 @@ static int contact_forces(Contacts *c, const Problem *o, int g)
             c->tally.iterations++;
         }
 
-        moved_by(o, d, x, u);
-        add(u, 1.0, o->q, n);
+        open_under(o, d, x, u);
     }
     return 1;
 }

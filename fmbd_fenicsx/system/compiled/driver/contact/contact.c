@@ -44,13 +44,14 @@ typedef struct {
     double residual;
 } Tally;
 
-/* The small problem of a group of m closed contacts: openings u = q + W f, friction mu. */
+/* The small problem of a group of m closed contacts: openings u = q + W f, friction mu. Beside forces on light bodies between heavy ones
+   W knows them to few digits: they are taken as what the change from the forces ``held``, under which they are ``opened``, adds. */
 typedef struct {
     int m;
     int *first, *near, *slot;                 /* of each those that it moves, their blocks of W, and where these are in a factor */
     int *start, *behind;                      /* of each those behind it in a factor */
     double *own, *W;                          /* blocks on the diagonal, and beside it */
-    double *q, *u, *f, *mu;
+    double *q, *u, *f, *mu, *held, *opened, *change;
     struct Lumped *lumped;                    /* where W is known by its products: what is nearly its inverse; else NULL */
 } Problem;
 

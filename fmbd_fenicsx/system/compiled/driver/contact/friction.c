@@ -50,8 +50,8 @@ typedef struct {
 /* Gaps and slips under forces x. */
 static void gaps_under(const Friction *o, int d, const double *x, double *u)
 {
-    moved_by(o->of, d, x, u);
-    for (int i = 0; i < o->n; i++) u[i] += o->q[i] + o->shift[i] * x[i];
+    open_under(o->of, d, x, u);
+    for (int i = 0; i < o->n; i++) u[i] += o->q[i] - o->of->q[i] + o->shift[i] * x[i];
 }
 
 /* The function at x, u, and the status of its points. */
@@ -257,13 +257,6 @@ static double attempt(Contacts *c, const Problem *problem, const Attempt *with, 
         rho = rho > 1.0 ? with->rho : rho;
     }
     return least;
-}
-
-/* Openings and slips of a group under forces x. */
-static void open_under(const Problem *o, int d, const double *x, double *u)
-{
-    moved_by(o, d, x, u);
-    add(u, 1.0, o->q, o->m * d);
 }
 
 /* Whether forces x miss the law by rates only that are not known; by which share of the largest force then, in ``size``. */

@@ -48,6 +48,7 @@ static Problem problem_of(const Contacts *c, int g)
         .m = c->graph.group[g + 1] - from, .near = all->near, .slot = all->slot, .behind = all->behind, .W = all->W,
         .first = all->first + from, .start = all->start + from, .own = all->own + from * d * d,
         .q = all->q + from * d, .u = all->u + from * d, .f = all->f + from * d, .mu = all->mu + from,
+        .held = all->held + from * d, .opened = all->opened + from * d, .change = all->change + from * d,
     };
 }
 
