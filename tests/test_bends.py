@@ -62,3 +62,27 @@ def test_an_equilibrium_tells_of_a_bent_cantilever(
     scene.add(fmbd.torque("turn", rod.surface("tip"), angle * MODULUS * HEIGHT**3 / 12))
     fmbd.equilibrium(scene)
     assert sum("is bent by" in message for message in caplog.messages) == told
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(("poisson", "torque", "told"), [(0.5, 0.1, 0), (0.5, 3e3, 1), (0.3, 1e4, 0)])
+def test_surfaces_that_turn_against_each_other_are_told_of_where_the_body_resists(
+    caplog: pytest.LogCaptureFixture, poisson: float, torque: float, told: int
+) -> None:
+    """A tied ring whose hub is turned by 0.02 rad is a sixth too stiff where it keeps its volume; else not by a thousandth."""
+    mesh = fmbd.read_gmsh("meshes/ring.py", radius=1.0, width=0.5, h=0.25)
+    angles = []
+    for load in (1e-3 * torque, torque):
+        ring = fmbd.FloatingBody(
+            "ring", mesh, density=1100.0, elastic=fmbd.materials.nearly_incompressible(3e4, poisson)
+        )
+        hub = fmbd.RigidBody("hub", 1.0, 1.0)
+        scene = fmbd.Scene("bushing")
+        scene.add(ring, hub, fmbd.tie_surface("in", ring.surface("inner"), hub))
+        scene.add(fmbd.tie_surface("out", ring.surface("outer"), fmbd.ground))
+        scene.add(fmbd.revolute("pin", fmbd.ground, hub), fmbd.torque("turn", hub, lambda t, load=load: load))
+        scene.sensor("angle", fmbd.rotation(hub))
+        angles.append(float(fmbd.equilibrium(scene)["angle"][0]) / load)
+    assert sum("takes turns of its surfaces" in message for message in caplog.messages) == told
+    assert (angles[1] < 0.87 * angles[0]) == bool(told)
+    assert told or angles[1] == pytest.approx(angles[0], rel=1e-3)

@@ -4,6 +4,9 @@
 
 of which ``stiffening``, of second order, leaves some s^2 (places of soft pendulums are off by s^2 to 1.5 s^2 of their lengths, up
 to s = 0.3). Looked at are the surfaces in use, and the mean rotation of the mass in frames that do not go along with it.
+
+Surfaces that are tied and turn against each other resist (1) by themselves, and what hardly changes its volume, far more than the
+turn: a bushing is a tenth too stiff where forces on its surfaces do a fifth of its energy by (1), at any angle.
 """
 
 from __future__ import annotations
@@ -19,6 +22,7 @@ from .spins import in_linear_frames
 from .system import System
 
 SHARE = 0.02  # of its size by which a body may be stretched where it is turned most
+WORK = 0.2  # of its energy that forces on its surfaces may do by that
 
 
 class Bends:
@@ -37,11 +41,20 @@ class Bends:
         turned = self._surfaces(state)
 
         for k, part, stiffened in list(self.bodies):
-            s = max(turned.get(part.frame, 0.0), self._mean(part, self.system.local_q(state.q, k)))
+            u = self.system.local_q(state.q, k)
+            s = max(turned.get(part.frame, 0.0), self._mean(part, u))
             left = s * s if stiffened else s
-            if left <= SHARE:
+            work = part.work_of_turns(u) if part.distributed and left <= SHARE else 0.0
+            if left <= SHARE and work <= WORK:
                 continue
             self.bodies = [b for b in self.bodies if b[0] != k]
+            if left <= SHARE:
+                log.warning(
+                    'body "%s" takes turns of its surfaces in its floating frame for strains, which its linear form resists: these do '
+                    "%.0f %% of its energy, and it is too stiff. Take an energy in place of elastic=",
+                    part.name, 100 * work,
+                )  # fmt: skip
+                continue
             log.warning(
                 'body "%s" is bent by %.2g rad in its floating frame: its linear form%s is for small rotations, and stretches it '
                 "by some %.1g of its size there. Take %sseveral bodies joined, or one with an energy",

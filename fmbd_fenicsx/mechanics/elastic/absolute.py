@@ -108,7 +108,7 @@ class AbsoluteField(FieldPart):
         f, d = self.field, self.field.dim
         U, F = u.reshape(-1, d), f.internal(u).reshape(-1, d)
         mean = f.total(f.mass(U).sum(axis=0)) / f.mass_total
-        held = [s.nodes for s in self.surfaces] + [np.unique(B.indices // d) for B in self.traces]
+        held = self.held
         others = np.ones(len(F), bool)
         others[np.concatenate([np.zeros(0, int), *held])] = False
 

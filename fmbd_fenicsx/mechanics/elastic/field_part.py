@@ -72,6 +72,11 @@ class FieldPart(DistributedPart):
         """Centroid of a surface at the start, world axes."""
         return self.field.moments(surface).center
 
+    @property
+    def held(self) -> list[Array]:
+        """Nodes of the surfaces in use, and of those with traces."""
+        return [s.nodes for s in self.surfaces] + [np.unique(B.indices // self.field.dim) for B in self.traces]
+
     # -- ports --------------------------------------------------------------------------------------------------
     def ports_of(self, w: Array, t: float) -> Array:
         """Port values of a nodal vector without its reference part, (n d,) -> (n_port,); collective."""
