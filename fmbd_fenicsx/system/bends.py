@@ -50,8 +50,8 @@ class Bends:
             self.bodies = [b for b in self.bodies if b[0] != k]
             if left <= SHARE:
                 log.warning(
-                    'body "%s" takes turns of its surfaces in its floating frame for strains, which its linear form resists: these do '
-                    "%.0f %% of its energy, and it is too stiff. Take an energy in place of elastic=",
+                    'body "%s" takes turns of its surfaces in its floating frame for strains, which its linear form resists: '
+                    "these do %.0f %% of its energy, and it is too stiff. Take an energy in place of elastic=",
                     part.name, 100 * work,
                 )  # fmt: skip
                 continue
