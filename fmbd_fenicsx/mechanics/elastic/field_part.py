@@ -14,7 +14,10 @@ import numpy as np
 
 from ...fem.fields import Field
 from ...rotations import Array, motions
+from ..frames import polar_rotation
 from ..placements import DistributedPart, FrameMotion
+
+LEAST = 1e-6  # rad: surfaces that turn by less turn by roundoff
 
 
 @dataclass(frozen=True)
@@ -76,6 +79,24 @@ class FieldPart(DistributedPart):
     def held(self) -> list[Array]:
         """Nodes of the surfaces in use, and of those with traces."""
         return [s.nodes for s in self.surfaces] + [np.unique(B.indices // self.field.dim) for B in self.traces]
+
+    def work_of_turns(self, u: Array) -> float:
+        """What elastic forces on the surfaces in use do where these move by (R + R^T) / 2 - 1, the part of their mean rotations R
+        that a linear form takes for a strain, over the elastic energy, at displacements u (n d,); collective.
+        """
+        f, d, work = self.field, self.field.dim, 0.0
+        U = u.reshape(-1, d)
+        forces = f.stiffness_at_rest(u).reshape(-1, d)
+        energy = 0.5 * float(f.total(np.array([u @ forces.ravel()]))[0])
+        for on in self.held:
+            count, *center = f.total(np.array([len(on), *f.X[on].sum(axis=0)]))
+            X = f.X[on] - np.array(center) / count
+            led, pushed = f.total(np.stack([(X + U[on]).T @ X, forces[on].T @ X]))
+            if led.any():
+                R = polar_rotation(led[None])[0]
+                stretch = 0.5 * (R + R.T) - np.eye(d)
+                work += abs(float((stretch * pushed).sum())) if np.linalg.norm(R - R.T) > LEAST else 0.0
+        return work / energy if work else 0.0
 
     # -- ports --------------------------------------------------------------------------------------------------
     def ports_of(self, w: Array, t: float) -> Array:

@@ -22,7 +22,6 @@ from ...errors import ConvergenceError, InputError
 from ...fem.field_checks import check_free
 from ...fem.fields import Field
 from ...rotations import Array, axial, motions, spin_matrix
-from ..frames import polar_rotation
 from ..placements import Approach, Attached, Chord, FrameMotion, MeanAxis
 from ..validity import TOO_LARGE, too_large
 from .field_part import FieldPart, TangentPoint
@@ -30,8 +29,6 @@ from .foreshortening import Bent, Shortening
 from .modes import rigid_fields
 from .second_order import Acting, DisplacementMoments, turning
 from .stiffening import Stiffening
-
-LEAST = 1e-6  # rad: surfaces that turn by less turn by roundoff
 
 
 class FloatingField(FieldPart):
@@ -184,24 +181,6 @@ class FloatingField(FieldPart):
         mean = np.sqrt(square * f.dim / f.n_global)
         if not mean <= TOO_LARGE * f.size:
             raise ConvergenceError(too_large(self.name, mean, f.size, self.stiffening is not None))
-
-    def work_of_turns(self, u: Array) -> float:
-        """What elastic forces on the surfaces in use do where these move by (R + R^T) / 2 - 1, the part of their mean rotations R
-        that a linear form takes for a strain, over the elastic energy, at displacements u (n d,); collective.
-        """
-        f, d, work = self.field, self.field.dim, 0.0
-        U = u.reshape(-1, d)
-        forces = f.stiffness_at_rest(u).reshape(-1, d)
-        energy = 0.5 * float(f.total(np.array([u @ forces.ravel()]))[0])
-        for on in self.held:
-            count, *center = f.total(np.array([len(on), *f.X[on].sum(axis=0)]))
-            X = f.X[on] - np.array(center) / count
-            led, pushed = f.total(np.stack([(X + U[on]).T @ X, forces[on].T @ X]))
-            if led.any():
-                R = polar_rotation(led[None])[0]
-                stretch = 0.5 * (R + R.T) - np.eye(d)
-                work += abs(float((stretch * pushed).sum())) if np.linalg.norm(R - R.T) > LEAST else 0.0
-        return work / energy if work else 0.0
 
     def internal(self, U: Array, Ud: Array) -> Array:
         """f_int(U) + beta K_0 U', (n d,)."""
