@@ -408,14 +408,17 @@ def test_heavy_body_on_a_light_one_does_not_sink_in_silence(compiled: bool, monk
         fmbd.solve(stack((1e9, 1e-9, 1e9), 0.0), t_end=5e-3, dt=1e-3, scheme=fmbd.Moreau())
 
 
-@pytest.mark.parametrize("masses", [(1.0, 1e6), (1.0, 1e7, 1e7)])
+@pytest.mark.parametrize("masses", [(1.0, 1e7), (1.0, 1e6, 1e6)])
 def test_forces_between_heavy_bodies_and_the_ground_are_known_through_masses(masses: tuple[float, ...]) -> None:
-    """The compliance hid what heavy ones give way: forces were 1e-10 off, or steps came in hundreds of parts."""
+    """The compliance hid what heavy ones give way: forces were 1e-10 off, or steps came in many parts.
+
+    So they did where forces found were changed again by their roundoff, at which the light one's velocity does not converge.
+    """
     run = fmbd.solve(stack(masses, 0.3), t_end=2e-2, dt=1e-3, scheme=fmbd.Moreau())
-    assert run.counters["contact_steps"] < 3 * 20
-    assert run.counters["active_set_iterations"] < 60 * 100 ** (len(masses) - 2)
+    assert run.counters["contact_steps"] == 20
+    assert run.counters["active_set_iterations"] < 400
     for i in range(len(masses)):
-        assert run[f"place of {i}"][-1] == pytest.approx((0.0, 0.1 + 0.2 * i), abs=1e-13)
+        assert run[f"place of {i}"][-1, 1] == pytest.approx(0.1 + 0.2 * i, abs=1e-13)
         assert run[f"force under {i}"][-1, 1] == pytest.approx(9.81 * sum(masses[i:]), rel=1e-12)
 
 

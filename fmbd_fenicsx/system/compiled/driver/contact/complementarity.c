@@ -4,6 +4,7 @@
 
 enum { SWEEPS = 20, SOON = 5, ROUNDS = 18 }; /* of Newton's iterations from the last forces, and of all with those behind the sweeps */
 static const double KNOWN = 4e-15; /* of the forces, for each contact: what the function is known to */
+static const double HARDLY = 1e-15, STANDS = 1e-12; /* of large forces, and at most: no reason to change what the step has found */
 static const double MISSED = 1e-4; /* what a share of the rates that contacts miss counts beside one of their forces */
 
 /* Alart and Curnier's function of one point, and its derivatives by force and by opening; its status. */
@@ -111,7 +112,8 @@ static int contact_forces(Contacts *c, const Problem *o, int g)
 
         const double scale = free + fmin(largest(x, n), 1e3 * free);
         const double residual = worst_contact(o, d, o->q, x, F, largest(F, n) / fmax(scale, 1e-300));
-        if (residual <= least) {
+        const double stands = round || !c->done ? 0.0 : fmin(STANDS, HARDLY * largest(x, n) / fmax(scale, 1e-300));
+        if (residual <= fmax(least, stands)) {
             memcpy(o->f, x, n * sizeof(double));
             memcpy(o->u, u, n * sizeof(double));
             c->tally.residual = fmax(c->tally.residual, residual);
