@@ -54,7 +54,7 @@ MUTATIONS: list[tuple[str, str, str, str, list[str]]] = [
      MECHANICS),
     ("multiplier of a distance is half of its force", "mechanics/kinds/definitions.py", "((d @ d) / length - length) * 0.5",
      "(d @ d) / length - length", MECHANICS),
-    ("fields left out of the Schur complement", "linear/prepared.py", "-= block.seen_by", "-= 0.0 * block.seen_by", MECHANICS),
+    ("fields left out of the Schur complement", "linear/prepared.py", "-block.seen_by(R", "-0.0 * block.seen_by(R", MECHANICS),
     ("judge accepts everything", "linear/residual.py", "if not (relative <= self.tolerance or self._is_roundoff(residual, scale, grown)):",
      "if False:", MECHANICS),
     ("velocities projected in the wrong metric", "schemes/consistent.py", "    v = v + dv\n",

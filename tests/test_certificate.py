@@ -55,7 +55,7 @@ def test_stated_error_of_time_and_its_sum_with_space(rod_mesh: Callable[..., Any
     assert 0.5 <= s.time / largest(run, same, 16) <= 3.0
     assert 0.5 <= s.total / largest(run, exact, 8) <= 3.0
     assert s.sum == pytest.approx(sum(getattr(s, k) for k in KINDS))
-    assert s.sum / 3 <= s.total <= s.sum
+    assert s.sum / 3 <= s.total <= s.sum * (1.0 + 1e-12)
 
 
 @pytest.mark.parametrize("form", [fmbd.Index3(), fmbd.Index1()], ids=lambda f: f.name)

@@ -101,7 +101,7 @@ def test_values_between_the_ends_of_explicit_steps(
     [
         (fmbd.BDF(2, fmbd.StateSpace(), None), 1e-4),
         (fmbd.Radau(3, fmbd.StateSpace(), None), 1e-4),
-        (fmbd.BDF(form=fmbd.StateSpace(), rtol=1e-7), 1e-6),
+        (fmbd.BDF(form=fmbd.StateSpace(), rtol=1e-7), 2e-6),  # 0.7 to 19 tolerances, 2.8 in the middle
         (fmbd.Radau(3, fmbd.Overdetermined(), 1e-7), 1e-6),
     ],
     ids=lambda x: x.name if hasattr(x, "name") else "",

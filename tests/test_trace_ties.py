@@ -130,7 +130,8 @@ def test_columns_and_complement_of_many_ports() -> None:
 
     solver = StepSolver(system)
     solver.prepare(system.at(0.0, state.q, state.v), Weights(1.0, 0.0, 1e-3))
-    for (_, part), block, S in zip(system.fields, solver.blocks, solver.prepared.couplings, strict=True):
+    for (_, part), block, coupling in zip(system.fields, solver.blocks, solver.prepared.couplings, strict=True):
+        S = coupling.entries
         assert sp.issparse(thin(S.T)) == (S.size > WIDE)
         R = S * np.linspace(1.0, 2.0, S.shape[1])  # as forces of other rows
         exact = R.T @ block.W @ S
