@@ -34,6 +34,11 @@ class FieldCoupling:
         """Take S^T seen off a vector or columns."""
         to[self.on] -= self.entries.T @ seen
 
+    def numbered(self, number: np.ndarray) -> FieldCoupling:
+        """With the columns that have other numbers (all,); -1: left out."""
+        on = number[self.on]
+        return FieldCoupling(on[on >= 0], self.entries[:, on >= 0])
+
     def part(self, first: int, end: int) -> Array:
         """The columns from ``first`` up to ``end``, zeros too."""
         here = (self.on >= first) & (self.on < end)
@@ -73,13 +78,11 @@ class FieldCouplings:
         """
         n, every = self.system.n_core, np.arange(self.system.n_core + self.system.n_lam)
         held = np.append(every[:n], every[n:][direct])
-        number = np.full(len(every), -1)
-        number[held] = np.arange(len(held))
-
-        own = []
-        for S in self.couplings:
-            on = number[S.on]
-            own.append(S if len(held) == len(every) else FieldCoupling(on[on >= 0], S.entries[:, on >= 0]))
+        own = self.couplings
+        if len(held) < len(every):
+            number = np.full(len(every), -1)
+            number[held] = np.arange(len(held))
+            own = [S.numbered(number) for S in own]
         if not self.border.count:
             return own, own
         pairs = [self._bordered(i, S, len(held)) for i, S in enumerate(own)]

@@ -68,24 +68,14 @@ class Condensed(Prepared):
     def _factor(self, A: Any, joints: Any) -> None:
         """Factor A - S^T W S of (1), with the constraint rows held by the core and the rows of the border."""
         n, border = self.system.n_core, self.fields.border
-        left, right = border.on_core()
-        size = n + joints.shape[0] + border.count
+        # each field sees few rows of the core
         sides = zip(self.fields.blocks, self.couplings, self.back_couplings, strict=True)
         seen = [(S.on, -block.seen_by(R.entries, S.entries)) for block, S, R in sides]
 
-        # a field sees little of the core
-        if size > MANY:
-            whole: Any = _sparse(A, joints, border, seen)
-            if whole.nnz >= FEW * size**2:
-                whole = whole.toarray()
-        else:
-            joints = dense(joints)
-            lower, upper = np.concatenate((joints, right)), np.concatenate((joints.T, left), axis=1)
-            C = np.diag(np.repeat((0.0, -1.0), (len(joints), border.count)))
-            whole = np.block([[dense(A), upper], [lower, C]])
-            whole = whole.astype(np.result_type(whole, *(x for _, x in seen)), copy=False)
-            for on, entries in seen:
-                whole[on[:, None], on] += entries
+        size = n + joints.shape[0] + border.count
+        whole: Any = (_dense if size <= MANY else _sparse)(A, joints, border.on_core(), seen)
+        if sp.issparse(whole) and whole.nnz >= FEW * size**2:
+            whole = whole.toarray()
         self.core.factor(whole[:n, :n], whole[n:, :n], whole[n:, n:], whole[:n, n:])
 
     def solve(self, b: Array, c: Array) -> tuple[Array, Array]:
@@ -154,17 +144,31 @@ class Condensed(Prepared):
         return out
 
 
-def _sparse(A: Any, joints: Any, border: Border, seen: list[tuple[np.ndarray, Array]]) -> Any:
-    """[A, G^T, L; G, 0, 0; R^T, 0, -1] with what the core sees of fields added: entries on the same rows and columns."""
-    left, right = map(sp.csr_array, border.on_core())
-    A, joints, size = sp.csr_array(A), sp.csr_array(joints), A.shape[0] + joints.shape[0] + border.count
-    none = sp.csr_array((joints.shape[0], border.count))
-    held = sp.csr_array((joints.shape[0],) * 2), none, none.T, -sp.eye_array(border.count)
+def _dense(A: Any, joints: Any, border: tuple[Array, Array], seen: list[tuple[np.ndarray, Array]]) -> Array:
+    """[A, G^T, L; G, 0, 0; R^T, 0, -1] with a ``border`` L, R^T and what the core sees of fields added: entries on the same rows
+    and columns.
+    """
+    joints, (left, right) = dense(joints), border
+    lower, upper = np.concatenate((joints, right)), np.concatenate((joints.T, left), axis=1)
+    C = np.diag(np.repeat((0.0, -1.0), (len(joints), len(right))))
+    whole = np.block([[dense(A), upper], [lower, C]])
+    whole = whole.astype(np.result_type(whole, *(x for _, x in seen)), copy=False)
+    for on, entries in seen:
+        whole[on[:, None], on] += entries
+    return whole
+
+
+def _sparse(A: Any, joints: Any, border: tuple[Array, Array], seen: list[tuple[np.ndarray, Array]]) -> Any:
+    """The same of many rows."""
+    A, joints, left, right = map(sp.csr_array, (A, joints, *border))
+    none = sp.csr_array((joints.shape[0], right.shape[0]))
+    held = sp.csr_array((joints.shape[0],) * 2), none, none.T, -sp.eye_array(right.shape[0])
     whole = sp.block_array([[A, joints.T, left], [joints, *held[:2]], [right, *held[2:]]], format="csr")
 
     rows = np.concatenate([np.repeat(on, len(on)) for on, _ in seen])
     columns = np.concatenate([np.tile(on, len(on)) for on, _ in seen])
-    total = whole + sp.csr_array((np.concatenate([x.ravel() for _, x in seen]), (rows, columns)), shape=(size, size))
+    entries = np.concatenate([x.ravel() for _, x in seen])
+    total = whole + sp.csr_array((entries, (rows, columns)), shape=whole.shape)
     total.eliminate_zeros()
     return total
 

@@ -34,9 +34,10 @@ class SmallTurns:
     def look(self, state: State) -> None:
         """Warn once of each body that has turned by more than is small; collective."""
         for k, part in list(self.bodies):
-            R = part.mean_rotation(self.system.local_q(state.q, k))
+            u = self.system.local_q(state.q, k)
+            R = part.mean_rotation(u)
             sine = float(np.linalg.norm(R - R.T)) / np.sqrt(8.0)
-            own = part.own_moment(self.system.local_q(state.q, k)) if LEAST < sine <= SMALL else 0.0
+            own = part.own_moment(u) if LEAST < sine <= SMALL else 0.0
             if sine <= SMALL and own <= OWN:
                 continue
             self.bodies.remove((k, part))

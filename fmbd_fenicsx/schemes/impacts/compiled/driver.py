@@ -35,7 +35,7 @@ from ...marching import lend_newton
 from ..contact_detection import tell_rest
 from .pairs import RESTED, PairTables
 from .spheres import Spheres
-from .structures import Blocks, Contacts, Graph, Problem, Tree, structure
+from .structures import BY_COMPONENT, Blocks, Contacts, Graph, Problem, Tree, structure
 from .tape import ContactTape
 
 if TYPE_CHECKING:
@@ -169,8 +169,7 @@ class ContactDriver(PairTables):
         ints |= {"group": room + 1, "next": 2 * room, "head": len(self.tree), "bits": 2 * (room + 1) * (room // 64 + 1)}
         pattern = {"first": room + 1, "near": pairs, "slot": pairs, "start": room + 1, "behind": pairs // 2}
         at = {name: self._zeros(f"graph {name}", size, np.int32) for name, size in (ints | pattern).items()}
-        values = {"own": room * k * k, "W": pairs * k * k, "q": room * k, "u": room * k, "f": room * k, "mu": room}
-        values |= dict.fromkeys(("held", "opened", "change"), room * k)
+        values = {"own": room * k * k, "W": pairs * k * k, "mu": room, **dict.fromkeys(BY_COMPONENT, room * k)}
         problem = {name: self._zeros(f"problem {name}", size) for name, size in values.items()}
         factor = {"own": room * k * k, "size": room, "upper": pairs // 2 * k * k, "lower": pairs // 2 * k * k}
         blocks = {name: self._zeros(f"factor {name}", size) for name, size in factor.items()}

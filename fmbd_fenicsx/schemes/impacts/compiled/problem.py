@@ -20,7 +20,7 @@ from ....system.compiled.declarations import enumeration
 from ....system.compiled.library import CONTACT, driver_library
 from ....system.compiled.states.evaluation import DriverStates
 from ....system.system import System
-from .structures import Blocks, Contacts, Lumped, Problem, Tally
+from .structures import BY_COMPONENT, Blocks, Contacts, Lumped, Problem, Tally
 
 
 class LumpedInverse:
@@ -83,7 +83,6 @@ def _eliminated(near: Any) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np
 
 
 # of forces, that its iteration works with
-VALUES = "q", "u", "f", "mu", "held", "opened", "change"
 VECTORS = 16 + 2 * enumeration("DIRECTIONS", "contact/friction.c")["DIRECTIONS"]
 
 
@@ -142,7 +141,7 @@ class CompiledProblem:
         if m > self.room:
             self._make_room(m)
         self.everyone = _everyone(m)  # C reads it
-        places = {name: self.arrays[name] for name in ("own", "W", *VALUES)} | self.everyone[2]
+        places = {name: self.arrays[name] for name in ("own", "W", "mu", *BY_COMPONENT)} | self.everyone[2]
         self.c.all = Problem(m=m, **{name: address_of(one) for name, one in places.items()})
 
     def take_lumped(self, near: Any) -> None:
@@ -152,7 +151,7 @@ class CompiledProblem:
             self._make_room(m, applied=True)
         self.lumped = LumpedInverse(self.d)  # C reads it
         self.lumped.take(near)
-        places = {name: address_of(self.arrays[name]) for name in ("own", *VALUES)}
+        places = {name: address_of(self.arrays[name]) for name in ("own", "mu", *BY_COMPONENT)}
         self.c.all = Problem(m=m, lumped=ctypes.addressof(self.lumped.c), **places)
 
     def _make_room(self, m: int, *, applied: bool = False) -> None:
@@ -162,8 +161,7 @@ class CompiledProblem:
         square, pairs = d * d, 0 if applied else m * (m - 1)
         vectors = VECTORS + 3 * d if applied else 3 + 2 * d
         sizes = {
-            "own": m * square, "W": pairs * square, "q": m * d, "u": m * d, "f": m * d, "mu": m,
-            "held": m * d, "opened": m * d, "change": m * d,
+            "own": m * square, "W": pairs * square, "mu": m, **dict.fromkeys(BY_COMPONENT, m * d),
             "inner": m * square, "size": m, "upper": pairs // 2 * square, "lower": pairs // 2 * square,
             "least": vectors * m * d,
         }  # fmt: skip

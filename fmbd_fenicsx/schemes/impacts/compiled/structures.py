@@ -11,6 +11,8 @@ SOURCE, PARTS = "contact/contact.c", "parts.h"
 Touch, Tally, Problem, Graph, Blocks = (
     structure_of(SOURCE, name) for name in ("Touch", "Tally", "Problem", "Graph", "Blocks")
 )
+# arrays of a Problem with a number for each component of each contact
+BY_COMPONENT = "q", "u", "f", "held", "opened", "change"
 Lumped = structure_of(SOURCE, "Lumped", Problem=Problem, Blocks=Blocks)
 Tree, Block = (structure_of(PARTS, name) for name in ("Tree", "Block"))
 Contacts = structure_of(

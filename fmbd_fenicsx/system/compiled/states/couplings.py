@@ -71,18 +71,16 @@ class Couplings:
             both: Any = tables.body_of(tables.frame[np.stack((f.a, f.b), axis=1)])
             others |= {(a, b) for a, b in both.tolist()}
         for number, items in enumerate(tables.sources):
+            if items.role in (ROLES["READ"], ROLES["TERM"]):
+                continue
             bodies: Any = tables.body_of(items.frames)
-            plain = (
-                items.frames.shape[1] == 2
-                and not items.linked
-                and not items.terms
-                and (items.frames <= tables.nb).all()
-            )
-            for i, pair in enumerate(bodies.tolist() if items.role not in (ROLES["READ"], ROLES["TERM"]) else []):
-                if plain and len({*pair} - {-1}) == 2:
+            of_two = items.frames.shape[1] == 2 and not (items.linked or items.terms)
+            if not (of_two and (items.frames <= tables.nb).all()):
+                others |= {(a, b) for pair in bodies.tolist() for a in pair for b in pair}
+                continue
+            for i, pair in enumerate(bodies.tolist()):
+                if len({*pair} - {-1}) == 2:
                     between[min(pair), max(pair)].append((number, i))
-                elif not plain:
-                    others |= {(a, b) for a in pair for b in pair}
 
         apart = {body for pair in others if len({*pair} - {-1}) > 1 for body in pair}
         own = {b: near - {b} for b, near in enumerate(self.near)}

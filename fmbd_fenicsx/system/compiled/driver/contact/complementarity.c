@@ -60,11 +60,14 @@ static void scales(const Problem *o, int i, int d, double *cn, double *ct)
 static double worst_contact(const Problem *o, int d, const double *q, const double *x, const double *F, double residual)
 {
     const double free = largest(q, o->m * d) / MISSED;
-    for (int i = 0; i < o->m * d; i++) {
+    for (int i = 0; i < o->m; i++, x += d, F += d) {
+        const double force = largest(x, d);
         double cn, ct;
-        scales(o, i / d, d, &cn, &ct);
-        const double light = (i % d ? ct : cn) * free, own = light + fmin(largest(x + i / d * d, d), light / MISSED);
-        residual = worse(residual, fabs(F[i]) / fmax(own, 1e-300));
+        scales(o, i, d, &cn, &ct);
+        for (int k = 0; k < d; k++) {
+            const double light = (k ? ct : cn) * free, own = light + fmin(force, light / MISSED);
+            residual = worse(residual, fabs(F[k]) / fmax(own, 1e-300));
+        }
     }
     return residual;
 }

@@ -54,8 +54,8 @@ static int runge_kutta_error(System *s, const Explicit *o, double h, const Slope
         missed_by(s, o, i, h, e, places, speeds);
         found[i] = own_norm(s, &o->norm, parts, 2);
     }
-    const double high = worse(found[0], found[1]) * worse(found[0], found[1]);
-    *error = high == 0.0 ? 0.0 : high / sqrt(high + THIRD * found[2] * found[2]);
+    const double high = worse(found[0], found[1]), third = found[2];
+    *error = high == 0.0 ? 0.0 : high * high / sqrt(high * high + THIRD * third * third);
     return DONE;
 }
 
